@@ -1,0 +1,179 @@
+"""One pinhole camera with Brown-Conrady distortion, and a rig of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.geometry.transforms import invert
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera: intrinsics in pixels, pose as camera_from_world."""
+
+    name: str
+    width: int
+    height: int
+    matrix: Array
+    """(3, 3) K, integer pixel centres."""
+    distortion: Array
+    """(5,) OpenCV k1, k2, p1, p2, k3."""
+    camera_from_world: Array
+    """(4, 4), metres."""
+
+    def __post_init__(self) -> None:
+        for field, shape in (("matrix", (3, 3)), ("distortion", (5,)), ("camera_from_world", (4, 4))):
+            value = np.ascontiguousarray(getattr(self, field), dtype=np.float64)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise ValueError(f"camera {self.name}: {field} must be finite {shape}, got {value.shape}")
+            value.setflags(write=False)
+            object.__setattr__(self, field, value)
+
+    @cached_property
+    def centre(self) -> Array:
+        """(3,) camera centre in the world, metres."""
+        return invert(self.camera_from_world)[:3, 3]
+
+    @property
+    def axis(self) -> Array:
+        """(3,) unit viewing direction in the world."""
+        return self.camera_from_world[2, :3]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self.width, self.height
+
+    def project(self, points_world: Array) -> tuple[Array, Array]:
+        """Project (..., 3) world points to pixels (..., 2) and depths z (...), with distortion.
+
+        Points at or behind the camera plane come back as NaN pixels.
+        """
+        local = points_world @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
+        z = local[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = np.where(z[..., None] > 1e-9, local[..., :2] / z[..., None], np.nan)
+        return self.pixels_from_normalised(xy), z
+
+    def pixels_from_normalised(self, xy: Array) -> Array:
+        """Ideal image plane coordinates (..., 2) to distorted pixels (..., 2)."""
+        x, y = xy[..., 0], xy[..., 1]
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        k = self.matrix
+        return np.stack([k[0, 0] * xd + k[0, 1] * yd + k[0, 2], k[1, 1] * yd + k[1, 2]], axis=-1)
+
+    def project_with_jacobian(self, points_world: Array) -> tuple[Array, Array]:
+        """Pixels (n, 2) and their derivative (n, 2, 3) with respect to the world points (n, 3)."""
+        rotation = self.camera_from_world[:3, :3]
+        local = points_world @ rotation.T + self.camera_from_world[:3, 3]
+        x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)
+        dx = np.stack(
+            [
+                np.stack([radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x, 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y], -1),
+                np.stack([2 * x * y * slope + 2 * p1 * x + 2 * p2 * y, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x], -1),
+            ],
+            axis=-2,
+        )
+        plane = np.zeros((len(x), 2, 3))
+        plane[:, 0, 0] = plane[:, 1, 1] = 1 / local[:, 2]
+        plane[:, 0, 2], plane[:, 1, 2] = -x / local[:, 2], -y / local[:, 2]
+        jacobian = self.matrix[:2, :2] @ dx @ plane @ rotation
+        return self.pixels_from_normalised(np.stack([x, y], -1)), jacobian
+
+    def undistort_pixels(self, pixels: Array) -> Array:
+        """Distorted pixels (n, 2) to ideal image plane coordinates (n, 2)."""
+        pixels = np.asarray(pixels, float).reshape(-1, 1, 2)
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
+        return cv2.undistortPointsIter(pixels, self.matrix, self.distortion, None, None, criteria).reshape(-1, 2)
+
+    def rays(self, pixels: Array) -> Array:
+        """Unit viewing directions (n, 3) in the world for distorted pixels (n, 2)."""
+        xy = self.undistort_pixels(pixels)
+        local = np.hstack([xy, np.ones((len(xy), 1))])
+        world = local @ self.camera_from_world[:3, :3]
+        return world / np.linalg.norm(world, axis=1, keepdims=True)
+
+    def moved(self, camera_from_world: Array) -> Camera:
+        """The same lens at another pose."""
+        return replace(self, camera_from_world=camera_from_world)
+
+    def scaled(self, factor: float) -> Camera:
+        """The camera of the image resized by `factor` (cv2.resize's pixel mapping)."""
+        matrix = self.matrix.copy()
+        matrix[:2] *= factor
+        matrix[:2, 2] += 0.5 * factor - 0.5
+        return replace(self, width=round(self.width * factor), height=round(self.height * factor), matrix=matrix)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Calibrated cameras in one world frame, in the session's order."""
+
+    cameras: tuple[Camera, ...]
+
+    def __post_init__(self) -> None:
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) != len(names):
+            raise ValueError(f"camera names must differ, got {names}")
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __iter__(self):
+        return iter(self.cameras)
+
+    def __getitem__(self, name_or_index: str | int) -> Camera:
+        if isinstance(name_or_index, str):
+            return self.cameras[self.names.index(name_or_index)]
+        return self.cameras[name_or_index]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self.cameras)
+
+    @cached_property
+    def centres(self) -> Array:
+        """(n_cameras, 3) in the world, metres."""
+        return np.array([camera.centre for camera in self.cameras])
+
+    def transformed(self, new_from_world: Array) -> Rig:
+        """The rig expressed in another world frame."""
+        world_from_new = invert(new_from_world)
+        return Rig(tuple(camera.moved(camera.camera_from_world @ world_from_new) for camera in self.cameras))
+
+    def to_json(self) -> dict:
+        """Plain JSON form; `from_json` is its inverse."""
+        return {
+            "convention": "integer pixel (0, 0) is the centre of the top-left pixel; x right, y down, z forward; metres",
+            "cameras": [
+                {
+                    "name": camera.name,
+                    "width": camera.width,
+                    "height": camera.height,
+                    "matrix": camera.matrix.tolist(),
+                    "distortion": camera.distortion.tolist(),
+                    "camera_from_world": camera.camera_from_world.tolist(),
+                }
+                for camera in self.cameras
+            ],
+        }
+
+    @classmethod
+    def from_json(cls, document: dict) -> Rig:
+        fields = ("name", "width", "height", "matrix", "distortion", "camera_from_world")
+        return cls(tuple(Camera(**{field: camera[field] for field in fields}) for camera in document["cameras"]))

@@ -1,0 +1,5 @@
+"""Rigid transforms, rotations and robust fits, on plain arrays.
+
+Convention: a rigid transform is a (4, 4) float64 array named `target_from_source`, so that
+`camera_from_world @ world_from_head` composes by eye. Units are metres and radians.
+"""

@@ -1,0 +1,1 @@
+"""Triangle meshes: topology, normals, Laplacians, subdivision, UV maps, deformation gradients, solvers, rasteriser."""
