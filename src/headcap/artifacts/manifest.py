@@ -31,6 +31,7 @@ class Manifest:
 
     @classmethod
     def load(cls, path: Path | str) -> "Manifest":
+        """Read what `write_manifest` wrote; raises `ArtifactError`."""
         return cls(**load_json(path, "manifest", SCHEMA))
 
 

@@ -35,6 +35,8 @@ class Camera:
                 raise ValueError(f"camera {self.name}: {field} must be finite {shape}, got {value.shape}")
             value.setflags(write=False)
             object.__setattr__(self, field, value)
+        if self.matrix[0, 1] != 0.0:
+            raise ValueError(f"camera {self.name}: skew {self.matrix[0, 1]} is not modelled; expected matrix[0, 1] = 0")
 
     @cached_property
     def centre(self) -> Array:
@@ -71,7 +73,7 @@ class Camera:
         xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
         yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         k = self.matrix
-        return np.stack([k[0, 0] * xd + k[0, 1] * yd + k[0, 2], k[1, 1] * yd + k[1, 2]], axis=-1)
+        return np.stack([k[0, 0] * xd + k[0, 2], k[1, 1] * yd + k[1, 2]], axis=-1)
 
     def project_with_jacobian(self, points_world: Array) -> tuple[Array, Array]:
         """Pixels (n, 2) and their derivative (n, 2, 3) with respect to the world points (n, 3)."""
@@ -99,7 +101,7 @@ class Camera:
         """Distorted pixels (n, 2) to ideal image plane coordinates (n, 2)."""
         pixels = np.asarray(pixels, float).reshape(-1, 1, 2)
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-12)
-        return cv2.undistortPointsIter(pixels, self.matrix, self.distortion, None, None, criteria).reshape(-1, 2)
+        return cv2.undistortPoints(pixels, self.matrix, self.distortion, criteria=criteria).reshape(-1, 2)
 
     def rays(self, pixels: Array) -> Array:
         """Unit viewing directions (n, 3) in the world for distorted pixels (n, 2)."""
@@ -144,6 +146,7 @@ class Rig:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names in the rig's order."""
         return tuple(camera.name for camera in self.cameras)
 
     @cached_property
@@ -175,5 +178,6 @@ class Rig:
 
     @classmethod
     def from_json(cls, document: dict) -> Rig:
+        """Read what `to_json` made."""
         fields = ("name", "width", "height", "matrix", "distortion", "camera_from_world")
         return cls(tuple(Camera(**{field: camera[field] for field in fields}) for camera in document["cameras"]))

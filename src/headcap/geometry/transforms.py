@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 def rigid(rotation: Array, translation: Array) -> Array:
     """Stack rotation (..., 3, 3) and translation (..., 3) into (..., 4, 4)."""
     rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
-    out = np.zeros(np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1]) + (4, 4))
+    out = np.zeros((*np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1]), 4, 4))
     out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, translation, 1.0
     return out
 
@@ -31,14 +31,14 @@ def from_vector(vector: Array) -> Array:
     vector = np.asarray(vector, float)
     flat = vector.reshape(-1, 6)
     rotation = Rotation.from_rotvec(flat[:, :3]).as_matrix()
-    return rigid(rotation, flat[:, 3:]).reshape(vector.shape[:-1] + (4, 4))
+    return rigid(rotation, flat[:, 3:]).reshape((*vector.shape[:-1], 4, 4))
 
 
 def to_vector(target_from_source: Array) -> Array:
     """Inverse of `from_vector`: (..., 4, 4) to (..., 6)."""
     flat = np.asarray(target_from_source, float).reshape(-1, 4, 4)
     vector = np.hstack([Rotation.from_matrix(flat[:, :3, :3]).as_rotvec(), flat[:, :3, 3]])
-    return vector.reshape(target_from_source.shape[:-2] + (6,))
+    return vector.reshape((*target_from_source.shape[:-2], 6))
 
 
 def rotation_angle(rotation: Array) -> Array:

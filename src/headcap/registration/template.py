@@ -29,7 +29,8 @@ class Template:
     uv_triangles: NDArray[np.int32]
     """(m, 3) indices into uv, corner by corner as `triangles`."""
     regions: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
-    """Named vertex masks (n,): face, neck, scalp, ears, eyes, lips_upper, lips_lower, mouth_interior, lips_inner_upper, lips_inner_lower."""
+    """Named vertex masks (n,): face, neck, scalp, ears, eyes, lips_upper, lips_lower, lips_inner_upper, lips_inner_lower,
+    mouth_interior."""
     landmarks: dict[str, int] = field(default_factory=dict)
     """Named vertices."""
     texture: NDArray[np.uint8] | None = None
