@@ -1,0 +1,62 @@
+"""The file of figures of a session or study: `headcap.metrics/1`."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from headcap.artifacts import load_json, save_json
+from headcap.evaluation.catalogue import CATALOGUE, unit_of
+from headcap.evaluation.settings import EvaluateSettings
+
+KIND, SCHEMA = "metrics", 1
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number with its limit."""
+
+    name: str
+    value: float | None
+    """None where the figure could not be measured."""
+    unit: str
+    session: str
+    take: str | None = None
+    limit: float | None = None
+    ok: bool | None = None
+    """None where no limit is in force."""
+
+    @property
+    def at_least(self) -> bool:
+        """True where the limit is a least value."""
+        return self.name in CATALOGUE and CATALOGUE[self.name].at_least
+
+
+def make_figure(name: str, value: float, *, session: str, take: str | None, settings: EvaluateSettings) -> Figure:
+    """A figure held to the limit in force; a value that is not finite is kept as None and fails its limit."""
+    limit = settings.limit(name)
+    number = float(value) if math.isfinite(value) else None
+    ok = None
+    if limit is not None:
+        at_least = name in CATALOGUE and CATALOGUE[name].at_least
+        ok = number is not None and (number >= limit if at_least else number <= limit)
+    return Figure(name, number, unit_of(name), session, take, limit, ok)
+
+
+def save_metrics(path: Path | str, figures: Iterable[Figure]) -> None:
+    """Write `metrics.json`, figures in the order given."""
+    save_json(path, KIND, SCHEMA, {"figures": [asdict(figure) for figure in figures]})
+
+
+def load_metrics(path: Path | str) -> tuple[Figure, ...]:
+    """Read what `save_metrics` wrote; raises `ArtifactError`."""
+    return tuple(Figure(**figure) for figure in load_json(path, KIND, SCHEMA)["figures"])
+
+
+def describe(figure: Figure) -> str:
+    """One line for a terminal: value, unit, limit and verdict."""
+    value = "not measured" if figure.value is None else f"{figure.value:.4g} {figure.unit}".rstrip()
+    if figure.limit is None:
+        return f"{figure.name:<36} {figure.take or '':<16} {value}"
+    sign, verdict = (">=" if figure.at_least else "<="), ("ok" if figure.ok else "PAST ITS LIMIT")
+    return f"{figure.name:<36} {figure.take or '':<16} {value} ({sign} {figure.limit:g}: {verdict})"

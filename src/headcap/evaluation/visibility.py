@@ -1,0 +1,42 @@
+"""How many cameras see a surface point: in front of the z-buffer and not too far from head-on."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.cameras import Camera, Rig
+from headcap.meshes.rasteriser import rasterise
+
+# A pixel's depth belongs to its centre: a point up to 0.7 px away differs by the slope of the surface times that, to
+# which a skin-thin margin is added for the step between the flat triangle and the point.
+_PIXEL_REACH = 0.75
+_MARGIN_M = 3e-4
+
+
+def count_cameras(
+    rig: Rig, vertices: NDArray, triangles: NDArray, points: NDArray, normals: NDArray, *, max_angle_deg: float
+) -> NDArray[np.int64]:
+    """Cameras (n,) that see each surface point (n, 3) with outward normal (n, 3) of a mesh (v, 3), (m, 3).
+
+    A camera sees a point inside its image, no deeper than its z-buffer, whose normal is within `max_angle_deg` of the
+    direction to the camera.
+    """
+    return sum((_seen(camera, vertices, triangles, points, normals, max_angle_deg) for camera in rig), np.zeros(len(points), int))
+
+
+def _seen(
+    camera: Camera, vertices: NDArray, triangles: NDArray, points: NDArray, normals: NDArray, max_angle_deg: float
+) -> NDArray[np.bool_]:
+    towards = camera.centre - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    cosine = np.einsum("nk,nk->n", towards, normals)
+    pixels, depth = camera.project(points)
+    column, row = np.rint(np.nan_to_num(pixels, nan=-9.0)).astype(np.int64).T
+    seen = (cosine >= np.cos(np.radians(max_angle_deg))) & (column >= 0) & (column < camera.width) & (row >= 0)
+    seen &= (row < camera.height) & (depth > 0)
+    if not seen.any():
+        return seen
+    footprint = depth[seen] / camera.matrix[0, 0]
+    slope = np.sqrt(1 - np.clip(cosine[seen], 0, 1) ** 2) / np.maximum(cosine[seen], 1e-3)
+    nearest = rasterise(camera, vertices, triangles).depth[row[seen], column[seen]]
+    seen[seen] = depth[seen] <= nearest + _MARGIN_M + _PIXEL_REACH * footprint * slope
+    return seen
