@@ -1,0 +1,43 @@
+# Two commands matter: `make demo` runs the main job on the embedded study, `make test` passes the tests.
+# Both do all the set-up they need; a second call is quick.
+SHELL := /bin/bash
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-done
+
+.PHONY: setup demo test lint fmt bench clean
+.DEFAULT_GOAL := demo
+
+setup: $(STAMP)
+
+$(STAMP): requirements.lock pyproject.toml .ci/setup
+	@PYTHON="$(PYTHON)" .ci/setup $(VENV)
+	@touch $@
+
+demo: $(STAMP)
+	@$(BIN)/headcap run config/demo.yaml
+
+test: $(STAMP)
+	@$(BIN)/python -m pytest
+
+lint: $(STAMP)
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/snakefmt --check --compact-diff Snakefile rules
+	@$(BIN)/lint-imports
+	@$(BIN)/headcap schema --check
+
+fmt: $(STAMP)
+	@$(BIN)/ruff format .
+	@$(BIN)/ruff check --fix .
+	@$(BIN)/snakefmt Snakefile rules
+	@$(BIN)/headcap schema --write
+
+# make bench ONLY=stereo runs one; each writes results/bench/<name>.json
+bench: $(STAMP)
+	@$(BIN)/python -m pytest -s -o addopts="" --import-mode=importlib tests/bench$(if $(ONLY),/test_$(ONLY).py)
+
+clean:
+	rm -rf results .snakemake .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	find src tests pipeline -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,217 @@
+"""Session and study files: one typed model each, composed of the settings of every room.
+
+A session is one person on one day. Paths in it are relative to its data root; a data root that is relative itself is
+taken from the folder the command runs in. `${NAME}` and `${NAME:-default}` in the data root are read from the
+environment.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from headcap.calibration.board import BoardSettings
+from headcap.calibration.settings import CalibrateSettings
+from headcap.reconstruction.settings import ReconstructSettings
+from headcap.recordings.settings import IngestSettings
+from headcap.synthetic.settings import RehearsalSettings
+
+UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+CALIBRATION = "calibration"
+"""Name of the board's recording among a session's recordings."""
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+Vector = tuple[float, float, float]
+
+
+class _Settings(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Intrinsics(_Settings):
+    """A lens that is known already."""
+
+    matrix: tuple[Vector, Vector, Vector] = Field(description="K in pixels; the top-left pixel's centre is (0, 0).")
+    distortion: tuple[float, float, float, float, float] = Field(
+        default=(0.0, 0.0, 0.0, 0.0, 0.0), description="OpenCV k1, k2, p1, p2, k3."
+    )
+
+
+class SessionCamera(_Settings):
+    """One camera of the rig."""
+
+    name: Name = Field(description="Name of the camera, the same in every take.")
+    file: str | None = Field(default=None, description="What stands for {camera} in file patterns; by default the name.")
+    framing: Literal["face", "lips"] = Field(default="face", description="Whether it sees the whole head or the lips alone.")
+    intrinsics: Intrinsics | None = Field(default=None, description="Known lens; estimated from the board by default.")
+
+
+class _Recordings(_Settings):
+    files: str | dict[str, str] = Field(
+        description="A pattern with {camera} in it, or one path per camera; relative to the data root."
+    )
+    missing: tuple[str, ...] = Field(default=(), description="Cameras that did not record; any other missing file is refused.")
+    offsets_s: dict[str, float] = Field(
+        default_factory=dict, description="Start times by camera on the common clock, which override what sync finds."
+    )
+    clap: bool = Field(default=True, description="Whether a clap was recorded; without one, offsets_s must be complete.")
+
+
+class CalibrationRecordings(_Recordings):
+    """The board waved in front of the cameras, one recording per camera."""
+
+
+class Take(_Recordings):
+    """One take, one recording per camera."""
+
+    name: Name = Field(description="Name of the take and of its results' folders.")
+    kind: Literal["pose", "expression", "speech", "lips", "free"] = Field(description="What the subject does.")
+    frames: tuple[int, int] | None = Field(
+        default=None, description="First and last frame, counted on the camera that started last; by default all."
+    )
+    masks: str | None = Field(default=None, description="Pattern with {camera} and {frame} of silhouettes, white is subject.")
+
+    @model_validator(mode="after")
+    def _frames_in_order(self) -> Self:
+        if self.name == CALIBRATION:
+            raise ValueError("a take cannot be called calibration: that is the board's recording")
+        if self.frames and not 0 <= self.frames[0] <= self.frames[1]:
+            raise ValueError(f"frames {list(self.frames)} are not in order; expected [first, last] with 0 <= first <= last")
+        return self
+
+
+class Scan(_Settings):
+    """A scan of the neutral face."""
+
+    file: str = Field(description="PLY, OBJ or STL, relative to the data root.")
+    unit: Literal["m", "cm", "mm", "in"] = Field(description="Unit of its coordinates.")
+    texture: str | None = Field(default=None, description="Texture image, where the file does not name it itself.")
+    picks: str | None = Field(default=None, description="JSON of named points on the scan; the scan aligns without.")
+
+
+class FramesPerJob(_Settings):
+    """How a take is cut into jobs. Results do not depend on it for reconstruct, and for track only through its anchors."""
+
+    reconstruct: int = Field(default=5, ge=1, description="Frames of a reconstruct job.")
+    track: int = Field(default=50, ge=1, description="Frames of a track job; each begins at an anchor frame.")
+
+
+class Evaluate(_Settings):
+    """What to compare the results with."""
+
+    truth: str | None = Field(
+        default=None, description="Folder of the truth, relative to the data root; no other stage reads it."
+    )
+
+
+DEFAULT_LIMITS: dict[str, float] = {}
+"""Limits of the quality gates that hold where a session names no other."""
+
+
+class Session(_Settings):
+    """One capture session, from recordings to tracked meshes."""
+
+    session: Name = Field(description="Name of the session; results go to results/<session>.")
+    subject: str = Field(description="Who was recorded.")
+    data_root: str = Field(description="Folder that all paths are relative to.")
+    rate_hz: float = Field(gt=0, description="Frames per second of every camera.")
+    cameras: tuple[SessionCamera, ...] = Field(min_length=3, description="The cameras, in the rig's order.")
+    board: str | BoardSettings = Field(description="The calibration board: a YAML file or its content.")
+    calibration: CalibrationRecordings = Field(description="Recordings of the board.")
+    takes: tuple[Take, ...] = Field(min_length=1, description="The takes.")
+    scan: Scan = Field(description="Scan of the neutral face.")
+    clapper_m: Vector | None = Field(
+        default=None,
+        description="Rough place of the clapper, metres, from the point the cameras look at: right, up and out of the face.",
+    )
+    limits: dict[str, float] = Field(default_factory=dict, description="Limits of quality gates, by figure.")
+    allow: tuple[str, ...] = Field(default=(), description="Gates that may fail: the run goes on and the report shows it.")
+    frames_per_job: FramesPerJob = FramesPerJob()
+    ingest: IngestSettings = IngestSettings()
+    calibrate: CalibrateSettings = CalibrateSettings()
+    reconstruct: ReconstructSettings = ReconstructSettings()
+    evaluate: Evaluate = Evaluate()
+    rehearse: RehearsalSettings | None = Field(
+        default=None, description="Render the recordings first; what the session does not say is then taken from here."
+    )
+
+    @property
+    def root(self) -> Path:
+        """The data root as a path."""
+        return Path(expand_environment(self.data_root))
+
+    def recordings(self, name: str) -> dict[str, str]:
+        """Path of each camera's recording of a take, or of the board's recording, in the rig's order."""
+        where = self.recorded(name)
+        return {
+            camera.name: str(self.root / _file_of(where.files, camera))
+            for camera in self.cameras
+            if camera.name not in where.missing and _file_of(where.files, camera)
+        }
+
+    def recorded(self, name: str) -> CalibrationRecordings | Take:
+        """The take of that name, or the board's recording."""
+        return self.calibration if name == CALIBRATION else next(take for take in self.takes if take.name == name)
+
+    def path(self, relative: str) -> str:
+        """A path of the session file, from the data root."""
+        return str(self.root / relative)
+
+
+class Study(_Settings):
+    """Sessions that are worked on together."""
+
+    study: Name = Field(description="Name of the study.")
+    sessions: tuple[str | dict, ...] = Field(min_length=1, description="Session files, or their content.")
+
+
+def expand_environment(text: str) -> str:
+    """Replace `${NAME}` and `${NAME:-default}`; an unset name without a default becomes empty."""
+    return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", lambda match: os.environ.get(match[1]) or match[2] or "", text)
+
+
+def session_files(session: Session) -> Iterator[tuple[str, str]]:
+    """Each file that a session names and its key, but for what a rehearsal renders."""
+    if session.rehearse is not None:
+        return
+    if isinstance(session.board, str):
+        yield "board", session.path(session.board)
+    yield "scan.file", session.path(session.scan.file)
+    for key in ("texture", "picks"):
+        if value := getattr(session.scan, key):
+            yield f"scan.{key}", session.path(value)
+    for name, key in ((CALIBRATION, CALIBRATION), *((take.name, f"takes.{take.name}") for take in session.takes)):
+        for camera, path in session.recordings(name).items():
+            yield f"{key}.files ({camera})", path
+    if session.evaluate.truth:
+        yield "evaluate.truth", session.path(session.evaluate.truth)
+
+
+def disagreements(session: Session) -> list[str]:
+    """Names that are given twice, and cameras that a take names but the session does not."""
+    cameras = [camera.name for camera in session.cameras]
+    takes = [take.name for take in session.takes]
+    told = [
+        f"{kind}: {name} is named twice"
+        for kind, names in (("cameras", cameras), ("takes", takes))
+        for name in sorted({name for name in names if names.count(name) > 1})
+    ]
+    for key, where in ((CALIBRATION, session.calibration), *((f"takes.{take.name}", take) for take in session.takes)):
+        files = where.files if isinstance(where.files, dict) else {}
+        told += [
+            f"{key}: no camera is called {name}" for name in sorted({*where.missing, *where.offsets_s, *files} - set(cameras))
+        ]
+        if isinstance(where.files, dict):
+            told += [f"{key}: no file for {name}" for name in cameras if name not in files and name not in where.missing]
+    return told
+
+
+def _file_of(files: str | dict[str, str], camera: SessionCamera) -> str:
+    if isinstance(files, dict):
+        return files.get(camera.name, "")
+    return files.replace("{camera}", camera.file or camera.name)
