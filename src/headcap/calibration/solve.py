@@ -1,0 +1,118 @@
+"""From board detections of all cameras to the calibrated rig."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.calibration.board import BoardSettings
+from headcap.calibration.detection import CameraDetections
+from headcap.calibration.gauge import canonical_frame
+from headcap.calibration.grouping import BoardPose, cell_count, group_poses, image_cells
+from headcap.calibration.heldout import HeldOut, measure_heldout, split_poses
+from headcap.calibration.intrinsics import Lens, start_lens
+from headcap.calibration.result import CalibrationResult, CameraFigures, SolvedPose
+from headcap.calibration.rig import Adjusted, adjust_rig
+from headcap.calibration.settings import CalibrateSettings
+from headcap.calibration.start import start_poses
+from headcap.errors import InputError, InputErrors
+from headcap.sync.offsets import TimeOffsets
+
+Array = NDArray[np.float64]
+
+
+def calibrate(
+    detections: Sequence[CameraDetections],
+    offsets: TimeOffsets,
+    board: BoardSettings,
+    settings: CalibrateSettings,
+    *,
+    known_lenses: Mapping[str, Lens] | None = None,
+) -> CalibrationResult:
+    """Calibrate all cameras of a session from one recording of a board.
+
+    Board poses are grouped over cameras by the common time of `offsets`; the rig is first fitted without the held-out
+    poses, which measure it, and then with all. The result is in the rig's canonical frame (`gauge`). Raises `InputErrors`
+    or `InputError` that name cameras which cannot be solved; gates are `result.check_gates`.
+    """
+    seen = {d.camera: d for d in detections}
+    known = dict(known_lenses or {})
+    poses = group_poses(seen, offsets, settings.group)
+    lenses = _start_lenses(seen, poses, board.corners, known)
+    camera_from_rig, rig_from_board = start_poses(poses, lenses, board.corners, tuple(seen))
+    kept = frozenset(known) if settings.rig.keep_known_intrinsics else frozenset()
+    fit, held = split_poses(poses, settings.rig.heldout_share)
+    trial = adjust_rig(
+        [poses[i] for i in fit],
+        board.corners,
+        lenses,
+        camera_from_rig,
+        [rig_from_board[i] for i in fit],
+        settings.rig,
+        constant_lenses=kept,
+    )
+    heldout = measure_heldout(trial.rig, [poses[i] for i in held], board.corners)
+    final = adjust_rig(
+        poses,
+        board.corners,
+        {c.name: Lens(c.width, c.height, c.matrix, c.distortion) for c in trial.rig},
+        {c.name: c.camera_from_world for c in trial.rig},
+        rig_from_board,
+        settings.rig,
+        constant_lenses=kept,
+    )
+    return _result(final, heldout, len(held), seen)
+
+
+def _start_lenses(
+    seen: Mapping[str, CameraDetections], poses: Sequence[BoardPose], corners: Array, known: Mapping[str, Lens]
+) -> dict[str, Lens]:
+    lenses, errors = dict(known), []
+    for name, detections in seen.items():
+        if name in known:
+            continue
+        views = [pose.views[name] for pose in poses if name in pose.views]
+        try:
+            lenses[name] = start_lens(name, (detections.width, detections.height), views, corners)
+        except InputError as error:
+            errors.append(error)
+    if errors:
+        raise InputErrors(errors)
+    return lenses
+
+
+def _result(final: Adjusted, heldout: HeldOut, held: int, seen: Mapping[str, CameraDetections]) -> CalibrationResult:
+    canonical_from_rig = canonical_frame(final.rig)
+    return CalibrationResult(
+        rig=final.rig.transformed(canonical_from_rig),
+        cameras=tuple(_camera_figures(name, final, heldout, seen[name]) for name in final.rig.names),
+        heldout_rms_px=heldout.rms_px(),
+        heldout_p95_px=heldout.p95_px(),
+        board_scale_error_mm=heldout.board_scale_error_mm(),
+        heldout_poses=held,
+        poses=tuple(
+            SolvedPose(pose.time_s, canonical_from_rig @ rig_from_board, dict(pose.frames))
+            for pose, rig_from_board in zip(final.poses, final.world_from_board, strict=True)
+        ),
+    )
+
+
+def _camera_figures(name: str, final: Adjusted, heldout: HeldOut, seen: CameraDetections) -> CameraFigures:
+    views = [pose.views[name] for pose in final.poses if name in pose.views]
+    pixels = np.concatenate([v.pixels for v in views] or [np.empty((0, 2))])
+    cells = len(np.unique(image_cells(pixels, seen.width, seen.height)))
+    return CameraFigures(
+        camera=name,
+        heldout_rms_px=_or_none(heldout.rms_px(name)),
+        heldout_p95_px=_or_none(heldout.p95_px(name)),
+        coverage=cells / cell_count(seen.width, seen.height),
+        poses=len(views),
+        corners=len(pixels),
+        rejected=final.rejected[name],
+    )
+
+
+def _or_none(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
