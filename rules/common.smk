@@ -3,21 +3,27 @@ Functions of the rules: inputs and parameters that depend on the session file.
 There are no functions anywhere else in the workflow.
 """
 
+import math
 import os
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
 from headcap.errors import InputError, InputErrors
-from headcap.recordings.timeline import Timeline
 from headcap.settings import CALIBRATION
+from headcap.sync.timeline import TakeTimeline
 from headcap.workflow.lock import hold_run_lock
-from headcap.workflow.plan import load_plan
+from headcap.workflow.plan import board_of, load_plan
 from headcap.workflow.source import source_digest
 
 # one thread per job: the workflow runs jobs side by side instead, and results do not hang on the machine's cores
-for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ[name] = "1"
+for variable in (
+    "NUMBA_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "MKL_NUM_THREADS",
+):
+    os.environ[variable] = "1"
 
 
 def read_plan(document):
@@ -26,6 +32,12 @@ def read_plan(document):
         return load_plan(document)
     except (InputError, InputErrors) as error:
         raise WorkflowError(f"the session or study cannot be used:\n{error}") from None
+
+
+def repair_locks():
+    """Remove the locks of a killed run; those of a run that is alive stay, and Snakemake refuses."""
+    if workflow.is_main_process and hold_run_lock(Path(".snakemake")):
+        logger.info("Removed the locks of a run that was killed.")
 
 
 def source(stage):
@@ -37,10 +49,207 @@ def session_of(wildcards):
     return PLAN.sessions[wildcards.session]
 
 
-def setting(name):
-    """One entry of the session, as plain values."""
+def setting(*keys):
+    """An entry of the session, key by key, as plain values."""
 
     def entry(wildcards):
-        return session_of(wildcards).model_dump(mode="json")[name]
+        value = session_of(wildcards).model_dump(mode="json", by_alias=True)
+        for key in keys:
+            value = value[key]
+        return value
 
     return entry
+
+
+def limits(stage):
+    """Limits of a stage's gates, by figure."""
+
+    def entry(wildcards):
+        return session_of(wildcards).gate_limits(stage)
+
+    return entry
+
+
+def board(wildcards):
+    return board_of(session_of(wildcards)).model_dump(mode="json")
+
+
+def cameras(wildcards):
+    """Cameras of a recording, in the rig's order."""
+    return list(
+        session_of(wildcards).recordings(getattr(wildcards, "recording", CALIBRATION))
+    )
+
+
+def takes(wildcards):
+    return [take.name for take in session_of(wildcards).takes]
+
+
+def all_timelines():
+    return [
+        f"results/{name}/sync/{take.name}.timeline.json"
+        for name, session in PLAN.sessions.items()
+        for take in session.takes
+    ]
+
+
+# ---- recordings
+
+
+def recordings(wildcards):
+    """Files of a recording; where the session is rehearsed, what says that they are rendered."""
+    if session_of(wildcards).rehearse is not None:
+        return [f"results/{wildcards.session}/rehearse/rehearsal.json"]
+    return list(recording_paths(wildcards).values())
+
+
+def recording_paths(wildcards):
+    return session_of(wildcards).recordings(wildcards.recording)
+
+
+def recorded(wildcards):
+    """Kind, clap and frames of a recording, as the session says."""
+    return session_of(wildcards).recorded(wildcards.recording).model_dump(mode="json")
+
+
+def manual_offsets(wildcards):
+    return session_of(wildcards).recorded(wildcards.take).offsets_s
+
+
+def frames_asked(wildcards):
+    frames = session_of(wildcards).recorded(wildcards.take).frames
+    return list(frames) if frames else None
+
+
+def scan(wildcards):
+    session = session_of(wildcards)
+    if session.rehearse is not None:
+        return f"results/{wildcards.session}/rehearse/rehearsal.json"
+    return session.path(session.scan.file)
+
+
+def scan_setting(wildcards):
+    """The scan's description with its paths from the data root."""
+    session = session_of(wildcards)
+    described = session.scan.model_dump(mode="json")
+    for key in ("file", "texture", "picks"):
+        described[key] = described[key] and session.path(described[key])
+    return described
+
+
+def truth(wildcards):
+    session = session_of(wildcards)
+    return session.path(session.evaluate.truth) if session.evaluate.truth else None
+
+
+# ---- frames and chunks
+
+
+def frame_count(session, take):
+    """Frames of a take: as the session says, else known once its recordings are synchronised."""
+    asked = PLAN.sessions[session].recorded(take).frames
+    if asked:
+        return asked[1] - asked[0] + 1
+    timeline = checkpoints.sync.get(session=session, take=take).output.timeline
+    return len(TakeTimeline.load(timeline))
+
+
+def chunks(stage, session, take):
+    """Numbers of a take's chunks in a stage."""
+    frames = getattr(PLAN.sessions[session].frames_per_job, stage)
+    return [
+        f"{chunk:03d}"
+        for chunk in range(math.ceil(frame_count(session, take) / frames))
+    ]
+
+
+def chunk_frames(stage):
+    """First position in the take and number of frames of a chunk."""
+
+    def entry(wildcards):
+        frames = getattr(session_of(wildcards).frames_per_job, stage)
+        return [int(wildcards.chunk) * frames, frames]
+
+    return entry
+
+
+def clouds(wildcards):
+    """Point clouds of a whole take."""
+    return [
+        f"results/{wildcards.session}/reconstruct/{wildcards.take}/chunk_{chunk}.json"
+        for chunk in chunks("reconstruct", wildcards.session, wildcards.take)
+    ]
+
+
+def chunk_clouds(wildcards):
+    """Point clouds of the frames of a track chunk."""
+    per_track = session_of(wildcards).frames_per_job.track
+    per_cloud = session_of(wildcards).frames_per_job.reconstruct
+    first = int(wildcards.chunk) * per_track
+    last = min(first + per_track, frame_count(wildcards.session, wildcards.take)) - 1
+    folder = f"results/{wildcards.session}/reconstruct/{wildcards.take}"
+    return [
+        f"{folder}/chunk_{chunk:03d}.json"
+        for chunk in range(first // per_cloud, last // per_cloud + 1)
+    ]
+
+
+def meshes(wildcards):
+    """Meshes of a whole take."""
+    return [
+        f"results/{wildcards.session}/track/{wildcards.take}/chunk_{chunk}.npy"
+        for chunk in chunks("track", wildcards.session, wildcards.take)
+    ]
+
+
+def session_clouds(wildcards):
+    """Point clouds of all takes."""
+    return [
+        f"results/{wildcards.session}/reconstruct/{take}/chunk_{chunk}.json"
+        for take in takes(wildcards)
+        for chunk in chunks("reconstruct", wildcards.session, take)
+    ]
+
+
+# ---- stages
+
+
+def detections(wildcards):
+    return [
+        f"results/{wildcards.session}/calibrate/detections/{camera}.npz"
+        for camera in cameras(wildcards)
+    ]
+
+
+def masks(wildcards):
+    session, take = session_of(wildcards), session_of(wildcards).recorded(
+        wildcards.take
+    )
+    return session.path(take.masks) if take.masks else None
+
+
+def session_results(wildcards):
+    """What evaluate and report read: the results of every stage and take."""
+    folder, names = f"results/{wildcards.session}", takes(wildcards)
+    return {
+        "rig": f"{folder}/calibrate/rig.json",
+        "calibration": f"{folder}/calibrate/figures.json",
+        "template": f"{folder}/register/template.npz",
+        "ingested": [f"{folder}/ingest/{take}.json" for take in names],
+        "offsets": [f"{folder}/sync/{take}.json" for take in names],
+        "timelines": [f"{folder}/sync/{take}.timeline.json" for take in names],
+        "clouds": session_clouds(wildcards),
+        "starts": [f"{folder}/track/{take}/start.npz" for take in names],
+        "sequences": [f"{folder}/track/{take}/sequence.json" for take in names],
+    }
+
+
+def evaluate_setting(wildcards):
+    """Sampling of the evaluation, with the session's own limits of figures."""
+    session = session_of(wildcards)
+    settings = session.evaluate.model_dump(mode="json", exclude={"truth"})
+    return settings | {"limits": settings["limits"] | session.limits}
+
+
+def described_session(wildcards):
+    return session_of(wildcards).model_dump(mode="json")

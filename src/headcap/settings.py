@@ -18,7 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateSettings
 from headcap.reconstruction.settings import ReconstructSettings
+from headcap.evaluation.settings import EvaluateSettings
 from headcap.recordings.settings import IngestSettings
+from headcap.registration.track_settings import TrackSettings
 from headcap.synthetic.settings import RehearsalSettings
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -101,16 +103,21 @@ class FramesPerJob(_Settings):
     track: int = Field(default=50, ge=1, description="Frames of a track job; each begins at an anchor frame.")
 
 
-class Evaluate(_Settings):
-    """What to compare the results with."""
+class Evaluate(EvaluateSettings):
+    """What to compare the results with, and how."""
 
     truth: str | None = Field(
         default=None, description="Folder of the truth, relative to the data root; no other stage reads it."
     )
 
 
-DEFAULT_LIMITS: dict[str, float] = {}
-"""Limits of the quality gates that hold where a session names no other."""
+GATES: dict[str, float] = {
+    "sync.residual_ms": 1.0,
+    "reconstruct.points": 2000.0,
+    "register.error_p95_mm": 3.0,
+    "track.cloud_distance_median_mm": 2.0,
+}
+"""Limits that hold a run up where a session names no other; calibrate's own are in its settings."""
 
 
 class Session(_Settings):
@@ -135,10 +142,17 @@ class Session(_Settings):
     ingest: IngestSettings = IngestSettings()
     calibrate: CalibrateSettings = CalibrateSettings()
     reconstruct: ReconstructSettings = ReconstructSettings()
+    sync: dict = {}
+    register_: dict = Field(default={}, alias="register")
+    track: TrackSettings = TrackSettings()
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
         default=None, description="Render the recordings first; what the session does not say is then taken from here."
     )
+
+    def gate_limits(self, stage: str) -> dict[str, float]:
+        """Limits of a stage's gates by figure: the general ones and the session's."""
+        return {figure: limit for figure, limit in (GATES | self.limits).items() if figure.startswith(f"{stage}.")}
 
     @property
     def root(self) -> Path:

@@ -1,0 +1,62 @@
+"""
+headcap: from the recordings of a camera rig to a tracked head.
+
+    snakemake                                            the demo study
+    snakemake --configfile config/sessions/NAME.yaml     one capture session
+
+Each file in rules/ is one stage and opens with its inputs and outputs; the science is in src/headcap.
+"""
+
+from snakemake.utils import min_version
+
+min_version("9.27")
+
+
+if not config:
+
+    configfile: "config/demo.yaml"
+
+
+container: "docker://headcap"
+
+
+include: "rules/common.smk"
+
+
+PLAN = read_plan(config)
+repair_locks()
+
+
+wildcard_constraints:
+    session="[A-Za-z0-9_-]+",
+    take="[A-Za-z0-9_-]+",
+    recording="[A-Za-z0-9_-]+",
+    camera="[A-Za-z0-9_-]+",
+    chunk="[0-9]{3,}",
+
+
+localrules:
+    all,
+
+
+rule all:
+    default_target: True
+    input:
+        metrics=expand("results/{session}/metrics.json", session=PLAN.sessions),
+        report=expand("results/{session}/report/report.html", session=PLAN.sessions),
+        # named here so that they do not wait for the takes whose length is found out
+        template=expand(
+            "results/{session}/register/template.npz", session=PLAN.sessions
+        ),
+        timelines=all_timelines(),
+
+
+include: "rules/rehearse.smk"
+include: "rules/ingest.smk"
+include: "rules/sync.smk"
+include: "rules/calibrate.smk"
+include: "rules/register.smk"
+include: "rules/reconstruct.smk"
+include: "rules/track.smk"
+include: "rules/evaluate.smk"
+include: "rules/report.smk"

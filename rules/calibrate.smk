@@ -1,0 +1,58 @@
+"""
+Finds lenses and places of the cameras from the waved board.
+
+INPUTS:   detections = results/{session}/calibrate/detections/{camera}.npz of each camera
+          offsets    = results/{session}/sync/board/sound.json
+OUTPUTS:  rig     = results/{session}/calibrate/rig.json
+          timing  = results/{session}/calibrate/timing.json, start times of the board's recordings by the board's motion
+          figures = results/{session}/calibrate/figures.json
+          colmap  = results/{session}/calibrate/colmap/{cameras,images,points3D}.txt
+"""
+
+
+rule calibrate:
+    """The rig, the timing of the board's recordings, and held-out errors."""
+    input:
+        detections=detections,
+        offsets="results/{session}/sync/board/sound.json",
+    output:
+        rig="results/{session}/calibrate/rig.json",
+        timing="results/{session}/calibrate/timing.json",
+        figures="results/{session}/calibrate/figures.json",
+    log:
+        "results/{session}/logs/calibrate.log",
+    benchmark:
+        "results/{session}/benchmarks/calibrate.tsv"
+    resources:
+        mem_mb=1500,
+    params:
+        board=board,
+        cameras=setting("cameras"),
+        allow=setting("allow"),
+        settings=setting("calibrate"),
+        source=source("calibrate"),
+    script:
+        "../pipeline/calibrate.py"
+
+
+rule find_bumped:
+    """Cameras that moved between the board's recording and a take."""
+    input:
+        rig="results/{session}/calibrate/rig.json",
+        ingested="results/{session}/ingest/{take}.json",
+        offsets="results/{session}/sync/{take}.json",
+        timeline="results/{session}/sync/{take}.timeline.json",
+    output:
+        checked="results/{session}/calibrate/bumped/{take}.json",
+    log:
+        "results/{session}/logs/find_bumped/{take}.log",
+    benchmark:
+        "results/{session}/benchmarks/find_bumped/{take}.tsv"
+    resources:
+        mem_mb=1500,
+    params:
+        allow=setting("allow"),
+        settings=setting("calibrate", "bump"),
+        source=source("find_bumped"),
+    script:
+        "../pipeline/find_bumped.py"

@@ -1,0 +1,29 @@
+"""
+Measures what came out, against truth where the session names some.
+
+INPUTS:   results of all stages and takes
+OUTPUTS:  metrics = results/{session}/metrics.json
+"""
+
+
+rule evaluate:
+    """The session's figures."""
+    input:
+        unpack(session_results),
+    output:
+        metrics="results/{session}/metrics.json",
+    log:
+        "results/{session}/logs/evaluate.log",
+    benchmark:
+        "results/{session}/benchmarks/evaluate.tsv"
+    resources:
+        mem_mb=2500,
+    params:
+        session="{session}",
+        truth=truth,
+        takes=takes,
+        described=scan_setting,
+        settings=evaluate_setting,
+        source=source("evaluate"),
+    script:
+        "../pipeline/evaluate.py"

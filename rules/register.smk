@@ -1,0 +1,28 @@
+"""
+Brings the scan into the model's topology.
+
+INPUTS:   scan = the session's scan
+OUTPUTS:  template = results/{session}/register/template.npz, with the scan's texture
+"""
+
+
+rule register:
+    """The subject's neutral face in the model's topology."""
+    input:
+        scan=scan,
+    output:
+        template="results/{session}/register/template.npz",
+    log:
+        "results/{session}/logs/register.log",
+    benchmark:
+        "results/{session}/benchmarks/register.tsv"
+    resources:
+        mem_mb=3000,
+    params:
+        described=scan_setting,
+        limits=limits("register"),
+        allow=setting("allow"),
+        settings=setting("register"),
+        source=source("register"),
+    script:
+        "../pipeline/register.py"

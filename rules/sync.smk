@@ -1,0 +1,84 @@
+"""
+Brings the recordings of a take onto one clock. The board's recordings come first, by sound alone; calibrate then finds
+where the cameras are and when they fired, which yields each camera's own lag of sound behind picture; with both, the
+takes are synchronised.
+
+INPUTS:   ingested = results/{session}/ingest/{take}.json
+          rig      = results/{session}/calibrate/rig.json
+          lags     = results/{session}/sync/board/lags.json
+OUTPUTS:  offsets  = results/{session}/sync/{take}.json
+          timeline = results/{session}/sync/{take}.timeline.json
+          figure   = results/{session}/sync/{take}.png
+"""
+
+
+rule sync_board:
+    """Start times of the board's recordings by sound, before the cameras' places are known."""
+    input:
+        ingested="results/{session}/ingest/calibration.json",
+    output:
+        offsets="results/{session}/sync/board/sound.json",
+    log:
+        "results/{session}/logs/sync/board.log",
+    benchmark:
+        "results/{session}/benchmarks/sync/board.tsv"
+    resources:
+        mem_mb=1000,
+    params:
+        manual_s=setting("calibration", "offsets_s"),
+        clap=setting("calibration", "clap"),
+        settings=setting("sync"),
+        source=source("sync_board"),
+    script:
+        "../pipeline/sync_board.py"
+
+
+rule sound_lags:
+    """Lag of each camera's sound behind its picture: the board's sound against the board's motion."""
+    input:
+        ingested="results/{session}/ingest/calibration.json",
+        rig="results/{session}/calibrate/rig.json",
+        timing="results/{session}/calibrate/timing.json",
+    output:
+        lags="results/{session}/sync/board/lags.json",
+    log:
+        "results/{session}/logs/sync/lags.log",
+    benchmark:
+        "results/{session}/benchmarks/sync/lags.tsv"
+    resources:
+        mem_mb=1000,
+    params:
+        clap=setting("calibration", "clap"),
+        clapper_m=setting("clapper_m"),
+        settings=setting("sync"),
+        source=source("sound_lags"),
+    script:
+        "../pipeline/sound_lags.py"
+
+
+checkpoint sync:
+    """Start times of a take's recordings on a common clock, and the moments at which the take is worked on."""
+    input:
+        ingested="results/{session}/ingest/{take}.json",
+        rig="results/{session}/calibrate/rig.json",
+        lags="results/{session}/sync/board/lags.json",
+    output:
+        offsets="results/{session}/sync/{take}.json",
+        timeline="results/{session}/sync/{take}.timeline.json",
+        figure="results/{session}/sync/{take}.png",
+    log:
+        "results/{session}/logs/sync/{take}.log",
+    benchmark:
+        "results/{session}/benchmarks/sync/{take}.tsv"
+    resources:
+        mem_mb=1000,
+    params:
+        manual_s=manual_offsets,
+        clapper_m=setting("clapper_m"),
+        frames=frames_asked,
+        limits=limits("sync"),
+        allow=setting("allow"),
+        settings=setting("sync"),
+        source=source("sync"),
+    script:
+        "../pipeline/sync.py"
