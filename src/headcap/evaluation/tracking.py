@@ -12,7 +12,7 @@ from headcap.artifacts import load_arrays, save_arrays
 from headcap.cameras import Rig
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.ties import Ties, at_border, tie
-from headcap.evaluation.truth import TakeTruth, Truth
+from headcap.evaluation.truth import Truth
 from headcap.evaluation.visibility import count_cameras
 from headcap.geometry.transforms import transform
 from headcap.meshes.closest_point import Surface
@@ -102,7 +102,7 @@ def compare_sequence(
         if number % every:
             continue
         tracked = transform(truth_world_from_world, np.asarray(positions, float))
-        rows.append(comparison.frame(tracked, _true_surface(true_take, sequence.time_s[number] - clock_shift_s)))
+        rows.append(comparison.frame(tracked, true_take.at(sequence.time_s[number] - clock_shift_s)))
         frames.append(number)
     surface, drift, seen, gap, true_gap = (np.array(column) for column in zip(*rows, strict=True))
     return TrackingErrors(
@@ -117,15 +117,13 @@ def compare_sequence(
     )
 
 
-def _true_surface(take: TakeTruth, true_time_s: float) -> NDArray[np.float64]:
-    return take.at(true_time_s)
-
-
 class _Comparison:
     """What is tied at the first frame, and the comparison of each later one."""
 
     def __init__(self, template: Template, truth: Truth, rig: Rig, settings: EvaluateSettings) -> None:
         self.template, self.truth, self.rig, self.settings = template, truth, rig, settings
+        # half the resolution is enough to vouch that a material point is in view, at a third of the time
+        self.true_rig = Rig(tuple(camera.scaled(0.5) for camera in truth.rig))
         self.ties: Ties | None = None
         self.lips: Ties | None = None
 
@@ -159,15 +157,13 @@ class _Comparison:
         seen = np.zeros(len(tracked), bool)
         chosen = self.compared
         seen[chosen] = (
-            count_cameras(
-                self.rig, tracked, self.template.triangles, tracked[chosen], normals[chosen], max_angle_deg=angle
-            )
+            count_cameras(self.rig, tracked, self.template.triangles, tracked[chosen], normals[chosen], max_angle_deg=angle)
             >= least
         )
         chosen = self.vouched & ~seen
         material_normals = self.ties.normals(true_vertices, self.truth.triangles)[chosen]
         cameras = count_cameras(
-            self.truth.rig, true_vertices, self.truth.triangles, material[chosen], material_normals, max_angle_deg=angle
+            self.true_rig, true_vertices, self.truth.triangles, material[chosen], material_normals, max_angle_deg=angle
         )
         seen[chosen] = cameras >= least
         return seen

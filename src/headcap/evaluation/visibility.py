@@ -27,16 +27,15 @@ def _seen(
     camera: Camera, vertices: NDArray, triangles: NDArray, points: NDArray, normals: NDArray, max_angle_deg: float
 ) -> NDArray[np.bool_]:
     towards = camera.centre - points
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-    cosine = np.einsum("nk,nk->n", towards, normals)
-    pixels, depth = camera.project(points)
+    cosine = np.einsum("nk,nk->n", towards, normals) / np.linalg.norm(towards, axis=1)
+    facing = np.flatnonzero(cosine >= np.cos(np.radians(max_angle_deg)))
+    pixels, depth = camera.project(points[facing])
     column, row = np.rint(np.nan_to_num(pixels, nan=-9.0)).astype(np.int64).T
-    seen = (cosine >= np.cos(np.radians(max_angle_deg))) & (column >= 0) & (column < camera.width) & (row >= 0)
-    seen &= (row < camera.height) & (depth > 0)
-    if not seen.any():
-        return seen
-    footprint = depth[seen] / camera.matrix[0, 0]
-    slope = np.sqrt(1 - np.clip(cosine[seen], 0, 1) ** 2) / np.maximum(cosine[seen], 1e-3)
-    nearest = rasterise(camera, vertices, triangles).depth[row[seen], column[seen]]
-    seen[seen] = depth[seen] <= nearest + _MARGIN_M + _PIXEL_REACH * footprint * slope
+    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    facing, column, row, depth = facing[inside], column[inside], row[inside], depth[inside]
+    seen = np.zeros(len(points), bool)
+    if len(facing):
+        slope = np.sqrt(1 - np.clip(cosine[facing], 0, 1) ** 2) / np.maximum(cosine[facing], 1e-3)
+        reach = _MARGIN_M + _PIXEL_REACH * slope * depth / camera.matrix[0, 0]
+        seen[facing] = depth <= rasterise(camera, vertices, triangles).depth[row, column] + reach
     return seen

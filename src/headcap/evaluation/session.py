@@ -1,0 +1,183 @@
+"""The figures of a whole session, stage by stage, from what lies in its results folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.artifacts import Manifest
+from headcap.cameras import Rig
+from headcap.evaluation.calibration import RigErrors, compare_rigs
+from headcap.evaluation.catalogue import CATALOGUE
+from headcap.evaluation.metrics import Figure, make_figure
+from headcap.evaluation.reconstruction import CloudErrors, compare_cloud, summarise_clouds
+from headcap.evaluation.settings import EvaluateSettings
+from headcap.evaluation.sync import clock_shift_s, offset_error_ms
+from headcap.evaluation.tracking import TrackingErrors, compare_sequence
+from headcap.evaluation.truth import Truth
+from headcap.geometry.transforms import transform
+from headcap.reconstruction.points import PointCloud
+from headcap.registration.sequence import MeshSequence
+from headcap.registration.template import Template
+from headcap.sync.offsets import TimeOffsets
+
+
+@dataclass(frozen=True)
+class SessionFolder:
+    """Where the artifacts of one session lie."""
+
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """The session's name."""
+        return self.folder.name
+
+    def offsets(self, take: str) -> Path:
+        """Start times of a take."""
+        return self.folder / "sync" / f"{take}.json"
+
+    def clouds(self, take: str) -> list[Path]:
+        """Point clouds of a take in the order of frames."""
+        return sorted((self.folder / "reconstruct" / take).glob("frame_*.ply"))
+
+    def sequence(self, take: str) -> Path:
+        """The tracked take."""
+        return self.folder / "track" / take / "sequence.json"
+
+    def tracking_errors(self, take: str) -> Path:
+        """Errors of the tracked take, written by `evaluate`."""
+        return self.folder / "evaluate" / f"{take}.npz"
+
+    @property
+    def template(self) -> Path:
+        """The registered template."""
+        return self.folder / "register" / "template.npz"
+
+    @property
+    def metrics(self) -> Path:
+        """The session's figures."""
+        return self.folder / "metrics.json"
+
+
+@dataclass(frozen=True)
+class TruthComparison:
+    """A session beside its truth: the rigid alignment and the clock shift that all figures of a take share."""
+
+    session: SessionFolder
+    truth: Truth
+    rig: Rig
+    settings: EvaluateSettings
+
+    @property
+    def rig_errors(self) -> RigErrors:
+        """The rig against the true one."""
+        return compare_rigs(self.rig, self.truth.rig)
+
+    def clock_shift_s(self, take: str) -> float:
+        """How far the take's common clock runs ahead of the true one."""
+        return clock_shift_s(TimeOffsets.load(self.session.offsets(take)), self.truth.start_s(take))
+
+    def sync(self, take: str) -> dict[str, float]:
+        """The `sync` figures of a take."""
+        return {"sync.offset_error_ms": offset_error_ms(TimeOffsets.load(self.session.offsets(take)), self.truth.start_s(take))}
+
+    def calibrate(self) -> dict[str, float]:
+        """The `calibrate` figures that need truth."""
+        errors = self.rig_errors
+        return {"calibrate.centre_error_mm": errors.centre_error_mm, "calibrate.rotation_error_deg": errors.rotation_error_deg}
+
+    def reconstruct(self, take: str) -> dict[str, float]:
+        """The `reconstruct` figures over frames spread evenly over the take."""
+        clouds = [self.cloud(take, path) for path in spread(self.session.clouds(take), self.settings.cloud_frames)]
+        return summarise_clouds(clouds)
+
+    def cloud(self, take: str, path: Path) -> CloudErrors:
+        """One cloud against the true surface at its time."""
+        cloud = PointCloud.load(path)
+        true_vertices = self.truth.take(take).at(cloud.time_s - self.clock_shift_s(take))
+        points = transform(self.truth_world_from_world, cloud.positions.astype(np.float64))
+        return compare_cloud(points, true_vertices, self.truth.triangles, self.truth.rig, self.settings)
+
+    @property
+    def truth_world_from_world(self) -> NDArray[np.float64]:
+        """(4, 4) the session's world in the true one."""
+        return self.rig_errors.truth_world_from_world
+
+    def track(self, take: str, *, every: int = 1) -> TrackingErrors:
+        """The tracked take against the true surface."""
+        return compare_sequence(
+            MeshSequence.load(self.session.sequence(take)),
+            Template.load(self.session.template),
+            self.truth,
+            rig=self.rig,
+            truth_world_from_world=self.truth_world_from_world,
+            clock_shift_s=self.clock_shift_s(take),
+            settings=self.settings,
+            every=every,
+        )
+
+
+def compare_take(comparison: TruthComparison, take: str) -> list[Figure]:
+    """All figures of one take that need truth, for the stages whose artifacts lie there; writes the tracking errors."""
+    session, values = comparison.session, {}
+    if take not in comparison.truth.takes:
+        return []
+    if session.offsets(take).is_file():
+        values |= comparison.sync(take)
+    if session.clouds(take):
+        values |= comparison.reconstruct(take)
+    if session.sequence(take).is_file():
+        errors = comparison.track(take)
+        errors.save(session.tracking_errors(take))
+        values |= errors.figures()
+    return _figures(values, session.name, take, comparison.settings)
+
+
+def evaluate_session(
+    session: SessionFolder, takes: Iterable[str], *, rig: Rig, truth: Truth | None, settings: EvaluateSettings
+) -> list[Figure]:
+    """Every figure of a session: those its stages stated in their manifests, and those against truth where there is one."""
+    figures = stated_figures(session, takes, settings)
+    for take in takes:
+        count = [len(PointCloud.load(path)) for path in spread(session.clouds(take), settings.cloud_frames)]
+        if count:
+            figures += _figures({"reconstruct.points": float(np.median(count))}, session.name, take, settings)
+    if truth is not None:
+        comparison = TruthComparison(session, truth, rig, settings)
+        figures += _figures(comparison.calibrate(), session.name, None, settings)
+        for take in takes:
+            figures += compare_take(comparison, take)
+    return figures
+
+
+def stated_figures(session: SessionFolder, takes: Iterable[str], settings: EvaluateSettings) -> list[Figure]:
+    """Figures that stages wrote into their manifests; the take is known by the artifact's folder or file name.
+
+    Where several artifacts of one take state the same figure (chunks of frames), the worst is kept.
+    """
+    found: dict[tuple[str, str | None], float] = {}
+    for path in sorted(session.folder.rglob("*.manifest.json")):
+        manifest = Manifest.load(path)
+        parts = {part.split(".")[0] for part in path.relative_to(session.folder).parts}
+        take = next((take for take in takes if take in parts), None)
+        for name, value in manifest.figures.items():
+            key = (name if "." in name else f"{manifest.stage}.{name}", take)
+            worse = min if key[0] in CATALOGUE and CATALOGUE[key[0]].at_least else max
+            found[key] = worse(found.get(key, value), value)
+    return [make_figure(name, value, session=session.name, take=take, settings=settings) for (name, take), value in found.items()]
+
+
+def spread(items: list[Path], count: int) -> list[Path]:
+    """At most `count` items, evenly spread from the first to the last."""
+    if len(items) <= count:
+        return items
+    return [items[i] for i in np.unique(np.rint(np.linspace(0, len(items) - 1, count)).astype(int))]
+
+
+def _figures(values: dict[str, float], session: str, take: str | None, settings: EvaluateSettings) -> list[Figure]:
+    return [make_figure(name, value, session=session, take=take, settings=settings) for name, value in values.items()]
