@@ -1,0 +1,203 @@
+"""The patchmatch engine: photographs to one depth map per view, coarse to fine, on one CPU core."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.cameras import Camera, Rig
+from headcap.errors import InputError
+from headcap.meshes.rasteriser import rasterise
+from headcap.reconstruction import patchmatch
+from headcap.reconstruction.maps import DepthMap, cell_camera, normals_from_slopes
+from headcap.reconstruction.refine import refine_sweep
+from headcap.reconstruction.settings import ReconstructSettings
+from headcap.reconstruction.views import (
+    Level,
+    View,
+    build_level,
+    choose_sources,
+    depth_range,
+    pair_geometry,
+    pinhole_views,
+    subject_centre,
+)
+
+Mesh = tuple[NDArray, NDArray]
+"""Vertices (n, 3) in the world, triangles (m, 3)."""
+
+
+@dataclass
+class _Planes:
+    """One view's hypotheses at one level; the kernels fill the arrays in place."""
+
+    plane: NDArray[np.float32]
+    cost: NDArray[np.float32]
+    spread: NDArray[np.float32]
+    active: NDArray[np.bool_]
+    settled: NDArray[np.uint8]
+
+    @classmethod
+    def empty(cls, active: NDArray[np.bool_]) -> _Planes:
+        shape = active.shape
+        cost = np.full(shape, patchmatch.NO_MATCH, np.float32)
+        return cls(np.zeros((*shape, 3), np.float32), cost, np.zeros(shape, np.float32), active, np.zeros(shape, np.uint8))
+
+
+def estimate_maps(
+    rig: Rig,
+    images_bgr: list[NDArray[np.uint8]],
+    *,
+    settings: ReconstructSettings,
+    prior: Mesh | None = None,
+    masks: list[NDArray] | None = None,
+) -> list[DepthMap]:
+    """Depth, normal and confidence of every view that has sources, by slanted PatchMatch and Gauss-Newton refinement.
+
+    `images_bgr`: per camera (height, width, 3) uint8, distorted, of one moment. `prior`: a mesh near the surface, which
+    replaces the search over depths where it is seen. `masks`: per camera (height, width), true on the subject.
+    Raises `InputError` for fewer than three cameras, images of another size, or cameras that share no subject.
+    """
+    views = pinhole_views(rig, images_bgr, masks, settings)
+    rig = Rig(tuple(view.camera for view in views))
+    centre = subject_centre(rig) if prior is None else np.mean(prior[0], axis=0)
+    sources = choose_sources(rig, centre, settings.matching)
+    if not any(len(chosen) for chosen in sources):
+        raise InputError(
+            "no two cameras whose rays to the subject meet in the permitted range",
+            expected=f"{settings.matching.min_angle_deg} to {settings.matching.max_angle_deg} degrees",
+            remedy="Widen matching.max_angle_deg, or check the calibration.",
+        )
+    ranges = depth_range(rig, centre, settings)
+    levels = [build_level(views, k, settings.matching.smoothing_px) for k in range(_level_count(views, settings) + 1)]
+    return [
+        _Matcher(list(rig), levels, view, sources[view], ranges[view], settings).run(views[view], prior)
+        for view in range(len(rig))
+        if len(sources[view])
+    ]
+
+
+def _level_count(views: tuple[View, ...], settings: ReconstructSettings) -> int:
+    longest = max(max(view.camera.size) for view in views)
+    return max(0, round(np.log2(longest / settings.matching.coarsest_px)))
+
+
+class _Matcher:
+    """One view's way from the coarsest level to the finest."""
+
+    def __init__(
+        self,
+        cameras: list[Camera],
+        levels: list[Level],
+        view: int,
+        sources: NDArray[np.int32],
+        near_far: NDArray,
+        settings: ReconstructSettings,
+    ) -> None:
+        self.cameras, self.levels, self.view, self.sources, self.settings = cameras, levels, view, sources, settings
+        self.near, self.far = near_far
+        self.w_limits = np.array([1 / self.far, 1 / self.near], np.float32)
+        matching = settings.matching
+        self.min_energy = np.float32(matching.window_px**2 * matching.min_contrast**2)
+
+    def run(self, view: View, prior: Mesh | None) -> DepthMap:
+        """All levels, then the map at the finest."""
+        planes = self._coarsest(prior)
+        for index in range(len(self.levels) - 2, -1, -1):
+            planes = self._finer(index, planes)
+        return self._map(view, planes)
+
+    def _geometry(self, index: int) -> tuple:
+        """The arguments that every kernel begins with."""
+        level, matching = self.levels[index], self.settings.matching
+        m, t = pair_geometry(self.cameras, level.matrices, self.view, self.sources)
+        return level.images, level.sizes, self.view, self.sources, m, t, matching.cell_px, matching.window_px
+
+    def _cells(self, index: int) -> NDArray[np.bool_]:
+        """Cells of a level whose centre is inside the photograph and the mask."""
+        valid, cell = self.levels[index].valid[self.view], self.settings.matching.cell_px
+        rows, columns = valid.shape[0] // cell, valid.shape[1] // cell
+        middle = cell // 2
+        return np.ascontiguousarray(valid[middle : rows * cell : cell, middle : columns * cell : cell])
+
+    def _coarsest(self, prior: Mesh | None) -> _Planes:
+        index, matching = len(self.levels) - 1, self.settings.matching
+        planes = _Planes.empty(self._cells(index))
+        geometry = self._geometry(index)
+        searched = planes.active.copy()
+        if prior is not None:
+            seen = self._start_from_mesh(index, planes, prior)
+            searched &= ~seen
+        depths = 1 / np.linspace(self.w_limits[0], self.w_limits[1], matching.depth_planes + 2)[1:-1]
+        patchmatch.sweep_depths(*geometry, depths, matching.best_sources, self.min_energy, searched, planes.plane, planes.cost)
+        planes.active &= (planes.cost < patchmatch.NO_MATCH) | (planes.plane[..., 0] > 0)
+        for sweep in range(matching.coarse_sweeps):
+            self._propagate(index, planes, sweep, reach_px=2.0 * 0.6**sweep, slope_reach=0.8 * 0.6**sweep)
+        self._refine(index, planes, self.settings.refinement.coarse_sweeps)
+        return planes
+
+    def _start_from_mesh(self, index: int, planes: _Planes, prior: Mesh) -> NDArray[np.bool_]:
+        """Set the planes of cells that see the mesh; their cost is settled by the first propagation."""
+        level, cell = self.levels[index], self.settings.matching.cell_px
+        width, height = (int(side) for side in level.sizes[self.view])
+        camera = Camera("level", width, height, level.matrices[self.view], np.zeros(5), self.cameras[self.view].camera_from_world)
+        raster = rasterise(cell_camera(camera, cell), *prior)
+        seen = raster.hit & planes.active
+        inverse = np.where(seen, 1 / np.where(raster.hit, raster.depth, 1), np.nan)
+        slopes = np.stack(np.gradient(inverse), -1)[..., ::-1] / cell
+        slopes[~np.isfinite(slopes).all(-1)] = 0
+        planes.plane[seen] = np.concatenate([inverse[..., None], slopes], -1)[seen]
+        return seen
+
+    def _propagate(self, index: int, planes: _Planes, sweep: int, *, reach_px: float, slope_reach: float) -> None:
+        matching = self.settings.matching
+        coarsest = index == len(self.levels) - 1
+        focal = self.levels[index].matrices[self.view][0, 0]
+        seed = np.uint64(1_000_003 * (self.view + 1) + 7919 * index + sweep)
+        patchmatch.propagate(
+            *self._geometry(index), self.w_limits, matching.best_sources, self.min_energy, 3 if coarsest else 0,
+            4 if coarsest else 2, reach_px, slope_reach / focal, seed, planes.active, planes.plane, planes.cost,
+        )  # fmt: skip
+
+    def _finer(self, index: int, coarse: _Planes) -> _Planes:
+        matching, refinement = self.settings.matching, self.settings.refinement
+        planes = _Planes.empty(self._cells(index))
+        usable = coarse.active & (coarse.cost < matching.max_cost)
+        patchmatch.descend(
+            *self._geometry(index), matching.best_sources, self.min_energy, coarse.plane, usable, planes.active,
+            planes.plane, planes.cost,
+        )  # fmt: skip
+        if index > 0:
+            for sweep in range(matching.level_sweeps):
+                self._propagate(index, planes, sweep, reach_px=0.5, slope_reach=0.3)
+        self._refine(index, planes, refinement.sweeps if index == 0 else refinement.coarse_sweeps)
+        return planes
+
+    def _refine(self, index: int, planes: _Planes, sweeps: int) -> None:
+        _matching, refinement = self.settings.matching, self.settings.refinement
+        for sweep in range(sweeps):
+            refine_sweep(
+                *self._geometry(index), refinement.noise_grey, refinement.smoothness_px, refinement.smoothness_slope,
+                refinement.discontinuity_px, refinement.converged_px, sweep % 2 == 1, planes.active, planes.settled,
+                planes.plane, planes.cost, planes.spread,
+            )  # fmt: skip
+
+    def _map(self, view: View, planes: _Planes) -> DepthMap:
+        cell = self.settings.matching.cell_px
+        camera = cell_camera(view.camera, cell)
+        w = planes.plane[..., 0]
+        good = planes.active & (w > self.w_limits[0]) & (w < self.w_limits[1]) & (planes.spread > 0)
+        depth = np.where(good, 1 / np.where(good, w, 1), 0).astype(np.float32)
+        normal = normals_from_slopes(view.camera.matrix, planes.plane, cell)
+        normal[~good] = 0
+        blocks = view.colour[: camera.height * cell, : camera.width * cell].reshape(camera.height, cell, camera.width, cell, 3)
+        return DepthMap(
+            camera=camera,
+            depth=depth,
+            normal=normal,
+            confidence=np.where(good, np.clip(1 - planes.cost, 0, 1), 0).astype(np.float32),
+            sigma=(planes.spread * depth**2).astype(np.float32),
+            colour=blocks.mean((1, 3)).round().astype(np.uint8)[..., ::-1].copy(),
+        )

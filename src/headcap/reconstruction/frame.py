@@ -1,0 +1,32 @@
+"""One frame of a rig to a point cloud, with whichever engine this machine has."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.cameras import Rig
+from headcap.reconstruction.estimate import Mesh, estimate_maps
+from headcap.reconstruction.fusion import fuse
+from headcap.reconstruction.points import PointCloud
+from headcap.reconstruction.settings import ReconstructSettings
+
+
+def reconstruct_frame(
+    rig: Rig,
+    images_bgr: list[NDArray[np.uint8]],
+    *,
+    time_s: float,
+    settings: ReconstructSettings | None = None,
+    prior: Mesh | None = None,
+    masks: list[NDArray] | None = None,
+) -> PointCloud:
+    """Points on the subject at one moment, from one photograph per camera of that moment.
+
+    `images_bgr`: per camera (height, width, 3) uint8 as recorded, in the rig's order; `time_s` is written into the cloud.
+    `prior`: a mesh (vertices, triangles) near the surface; `masks`: per camera (height, width), true on the subject.
+    Raises `InputError` for fewer than three cameras, wrong sizes, or where no point is found.
+    """
+    settings = settings or ReconstructSettings()
+    maps = estimate_maps(rig, images_bgr, settings=settings, prior=prior, masks=masks)
+    return fuse(maps, time_s=time_s, settings=settings.fusion, cell_px=settings.matching.cell_px)

@@ -1,0 +1,306 @@
+"""Depth maps of several views to one point cloud: agreement, weighted means, thinning, outliers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from headcap.geometry.transforms import invert
+from headcap.reconstruction.maps import DepthMap
+from headcap.reconstruction.patchmatch import JIT
+from headcap.reconstruction.points import PointCloud
+from headcap.reconstruction.settings import FusionSettings
+
+BASE_ANGLE_DEG = 20.0
+"""Angle between two views at which a pixel of disparity is reckoned in metres; `choose_sources` prefers it."""
+
+
+def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_px: int = 2) -> PointCloud:
+    """Fuse depth maps (any number, any sizes) into points where at least `min_views` views agree.
+
+    Every known cell is carried along its normal to the weighted mean of the surfaces that the agreeing views saw there
+    (weights: inverse variances along the normal); of the results, the surest are kept at a least distance from each other.
+    """
+    size = np.array([depth_map.depth.shape for depth_map in maps])
+    stacked = _Stack(maps, size)
+    tangents = math.tan(math.radians(BASE_ANGLE_DEG))
+    parts = [
+        _fuse_view(
+            index, *stacked.arrays(), settings.min_views, settings.max_disparity_px / (cell_px * tangents),
+            math.cos(math.radians(settings.max_normal_deg)), math.cos(math.radians(settings.max_viewing_deg)),
+        )
+        for index in range(len(maps))
+    ]  # fmt: skip
+    positions, normals, sigma, confidence, colours = (np.concatenate(column) for column in zip(*parts, strict=True))
+    footprint = _median_footprint(maps, cell_px)
+    kept, spacing = _thin_to(positions, sigma, settings.spacing_px * footprint, settings.max_points)
+    positions, normals, confidence, colours = (array[kept] for array in (positions, normals, confidence, colours))
+    if settings.outlier_neighbours and len(positions) and spacing > 0:
+        crowded = count_neighbours(positions.astype(np.float64), 3 * spacing) >= settings.outlier_neighbours
+        positions, normals, confidence, colours = (array[crowded] for array in (positions, normals, confidence, colours))
+    return PointCloud(positions.astype(np.float32), normals, confidence, colours, time_s)
+
+
+def _median_footprint(maps: list[DepthMap], cell_px: int) -> float:
+    """Width of a pixel on the surface, metres, median over views."""
+    widths = [
+        np.median(depth_map.depth[depth_map.known]) / (cell_px * depth_map.camera.matrix[0, 0])
+        for depth_map in maps
+        if depth_map.known.any()
+    ]
+    return float(np.median(widths)) if widths else 0.0
+
+
+class _Stack:
+    """All maps padded into arrays that a kernel can index by view."""
+
+    def __init__(self, maps: list[DepthMap], size: NDArray) -> None:
+        rows, columns = size.max(0)
+        n = len(maps)
+        self.size = size
+        self.depth = np.zeros((n, rows, columns), np.float32)
+        self.normal = np.zeros((n, rows, columns, 3), np.float32)
+        self.sigma = np.zeros((n, rows, columns), np.float32)
+        self.confidence = np.zeros((n, rows, columns), np.float32)
+        self.colour = np.zeros((n, rows, columns, 3), np.uint8)
+        for k, m in enumerate(maps):
+            block = (k, slice(0, size[k, 0]), slice(0, size[k, 1]))
+            self.depth[block], self.normal[block], self.sigma[block] = m.depth, m.normal, m.sigma
+            self.confidence[block], self.colour[block] = m.confidence, m.colour
+        self.matrices = np.array([m.camera.matrix for m in maps])
+        self.view_from_world = np.array([m.camera.camera_from_world for m in maps])
+        self.world_from_view = invert(self.view_from_world)
+
+    def arrays(self) -> tuple:
+        return (
+            self.size, self.depth, self.normal, self.sigma, self.confidence, self.colour, self.matrices,
+            self.view_from_world, self.world_from_view,
+        )  # fmt: skip
+
+
+@njit(**JIT)
+def _surface_beside(view, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing):
+    """Where the surface of `view` meets the ray through a point (x, y, z) of its frame.
+
+    Returns (row, column, gap in z of the surface behind the point), row -1 where the view has nothing near.
+    """
+    if z <= 1e-6:
+        return -1, -1, 0.0
+    f = matrices[view, 0, 0]
+    column = math.floor((f * x + matrices[view, 0, 1] * y) / z + matrices[view, 0, 2] + 0.5)
+    row = math.floor(matrices[view, 1, 1] * y / z + matrices[view, 1, 2] + 0.5)
+    if row < 0 or column < 0 or row >= size[view, 0] or column >= size[view, 1]:
+        return -1, -1, 0.0
+    d = depth[view, row, column]
+    if d <= 0.0:
+        return -1, -1, 0.0
+    nx, ny, nz = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
+    px = (column - matrices[view, 0, 2] - matrices[view, 0, 1] * (row - matrices[view, 1, 2]) / matrices[view, 1, 1]) / f * d
+    py = (row - matrices[view, 1, 2]) / matrices[view, 1, 1] * d
+    slant = (nx * x + ny * y + nz * z) / z
+    if -slant < min_facing * math.sqrt(x * x + y * y + z * z) / z:
+        return -1, -1, 0.0
+    gap = (nx * px + ny * py + nz * d) / slant - z
+    if abs(gap) > max_gap_px * z / f:
+        return -1, -1, 0.0
+    return row, column, gap
+
+
+@njit(**JIT)
+def _fuse_view(
+    view,
+    size,
+    depth,
+    normal,
+    sigma,
+    confidence,
+    colour,
+    matrices,
+    view_from_world,
+    world_from_view,
+    min_views,
+    max_gap_px,
+    min_normal_dot,
+    min_facing,
+):
+    """Fused points of one view's cells: positions, normals, sigma, confidence, colours."""
+    views = len(depth)
+    rows, columns = size[view, 0], size[view, 1]
+    most = 0
+    for row in range(rows):
+        for column in range(columns):
+            most += depth[view, row, column] > 0
+    positions, normals = np.empty((most, 3)), np.empty((most, 3), np.float32)
+    sigmas, trusts, colours = np.empty(most, np.float32), np.empty(most, np.float32), np.empty((most, 3), np.uint8)
+    _gaps, _weights = np.empty(views), np.empty(views)
+    found = 0
+    out, back = world_from_view[view], matrices[view]
+    for row in range(rows):
+        for column in range(columns):
+            d = depth[view, row, column]
+            if d <= 0.0:
+                continue
+            ly = (row - back[1, 2]) / back[1, 1] * d
+            lx = ((column - back[0, 2]) * d - back[0, 1] * ly) / back[0, 0]
+            n0, n1, n2 = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
+            facing = -(n0 * lx + n1 * ly + n2 * d) / math.sqrt(lx * lx + ly * ly + d * d)
+            if facing < min_facing:
+                continue
+            wx = out[0, 0] * lx + out[0, 1] * ly + out[0, 2] * d + out[0, 3]
+            wy = out[1, 0] * lx + out[1, 1] * ly + out[1, 2] * d + out[1, 3]
+            wz = out[2, 0] * lx + out[2, 1] * ly + out[2, 2] * d + out[2, 3]
+            nx = out[0, 0] * n0 + out[0, 1] * n1 + out[0, 2] * n2
+            ny = out[1, 0] * n0 + out[1, 1] * n1 + out[1, 2] * n2
+            nz = out[2, 0] * n0 + out[2, 1] * n1 + out[2, 2] * n2
+            weight = 1.0 / max((sigma[view, row, column] * n2) ** 2, 1e-14)
+            agreeing, total, moved = 1, weight, 0.0
+            mx, my, mz = weight * nx, weight * ny, weight * nz
+            trust = weight * confidence[view, row, column]
+            red, green, blue = (
+                facing * colour[view, row, column, 0],
+                facing * colour[view, row, column, 1],
+                facing * colour[view, row, column, 2],
+            )
+            light = facing
+            for other in range(views):
+                if other == view:
+                    continue
+                to = view_from_world[other]
+                x = to[0, 0] * wx + to[0, 1] * wy + to[0, 2] * wz + to[0, 3]
+                y = to[1, 0] * wx + to[1, 1] * wy + to[1, 2] * wz + to[1, 3]
+                z = to[2, 0] * wx + to[2, 1] * wy + to[2, 2] * wz + to[2, 3]
+                r, c, gap = _surface_beside(other, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing)
+                if r < 0:
+                    continue
+                o0, o1, o2 = normal[other, r, c, 0], normal[other, r, c, 1], normal[other, r, c, 2]
+                ox = to[0, 0] * o0 + to[1, 0] * o1 + to[2, 0] * o2
+                oy = to[0, 1] * o0 + to[1, 1] * o1 + to[2, 1] * o2
+                oz = to[0, 2] * o0 + to[1, 2] * o1 + to[2, 2] * o2
+                if ox * nx + oy * ny + oz * nz < min_normal_dot:
+                    continue
+                # a gap along the other view's ray is a distance along its normal of gap * (ray . normal)
+                slant = (o0 * x + o1 * y + o2 * z) / z
+                agreeing += 1
+                weight = 1.0 / max((sigma[other, r, c] * o2) ** 2, 1e-14)
+                total += weight
+                moved += weight * gap * slant
+                mx, my, mz = mx + weight * ox, my + weight * oy, mz + weight * oz
+                trust += weight * confidence[other, r, c]
+                looks = -slant * z / math.sqrt(x * x + y * y + z * z)
+                red += looks * colour[other, r, c, 0]
+                green += looks * colour[other, r, c, 1]
+                blue += looks * colour[other, r, c, 2]
+                light += looks
+            if agreeing < min_views:
+                continue
+            shift = moved / total
+            length = math.sqrt(mx * mx + my * my + mz * mz)
+            positions[found, 0], positions[found, 1], positions[found, 2] = wx + shift * nx, wy + shift * ny, wz + shift * nz
+            normals[found, 0], normals[found, 1], normals[found, 2] = mx / length, my / length, mz / length
+            sigmas[found] = 1.0 / math.sqrt(total)
+            trusts[found] = trust / total
+            colours[found, 0], colours[found, 1], colours[found, 2] = (
+                int(red / light + 0.5),
+                int(green / light + 0.5),
+                int(blue / light + 0.5),
+            )
+            found += 1
+    return positions[:found], normals[:found], sigmas[:found], trusts[:found], colours[:found]
+
+
+def _thin_to(positions: NDArray, sigma: NDArray, spacing: float, most: int) -> tuple[NDArray, float]:
+    """Indices of points at least `spacing` apart, surest first; spacing grows by 8 % until at most `most` are left."""
+    order = np.argsort(sigma, kind="stable")
+    if spacing <= 0:
+        return order[:most], 0.0
+    while True:
+        kept = thin(positions, order, spacing)
+        if len(kept) <= most:
+            return kept, spacing
+        spacing *= max(1.02, math.sqrt(len(kept) / most))
+
+
+@njit(**JIT)
+def _cell_key(x, y, z):
+    """A hash of integer cell coordinates (Teschner et al. 2003)."""
+    return ((x * np.int64(73856093)) ^ (y * np.int64(19349663)) ^ (z * np.int64(83492791))) & np.int64(0x7FFFFFFF)
+
+
+@njit(**JIT)
+def thin(positions, order, spacing):
+    """Indices of `positions` (n, 3), visited in `order`, that keep at least `spacing` from all kept before."""
+    n = len(order)
+    buckets = 1
+    while buckets < 2 * n + 2:
+        buckets *= 2
+    head, after = np.full(buckets, -1, np.int64), np.full(n, -1, np.int64)
+    kept = np.empty(n, np.int64)
+    count = 0
+    inverse, near2 = 1.0 / spacing, spacing * spacing
+    for k in range(n):
+        p = positions[order[k]]
+        x, y, z = math.floor(p[0] * inverse), math.floor(p[1] * inverse), math.floor(p[2] * inverse)
+        free = True
+        for cell in range(27):
+            key = _cell_key(x + cell % 3 - 1, y + (cell // 3) % 3 - 1, z + cell // 9 - 1) & (buckets - 1)
+            at = head[key]
+            while at >= 0:
+                q = positions[kept[at]]
+                if (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2 < near2:
+                    free = False
+                    break
+                at = after[at]
+            if not free:
+                break
+        if free:
+            key = _cell_key(x, y, z) & (buckets - 1)
+            kept[count] = order[k]
+            after[count] = head[key]
+            head[key] = count
+            count += 1
+    return kept[:count]
+
+
+@njit(**JIT)
+def count_neighbours(positions, radius):
+    """Number of other points within `radius` of each of `positions` (n, 3)."""
+    n = len(positions)
+    buckets = 1
+    while buckets < 2 * n + 2:
+        buckets *= 2
+    head, after = np.full(buckets, -1, np.int64), np.full(n, -1, np.int64)
+    cells = np.empty((n, 3), np.int64)
+    inverse, near2 = 1.0 / radius, radius * radius
+    for k in range(n):
+        for axis in range(3):
+            cells[k, axis] = math.floor(positions[k, axis] * inverse)
+        key = _cell_key(cells[k, 0], cells[k, 1], cells[k, 2]) & (buckets - 1)
+        after[k] = head[key]
+        head[key] = k
+    counts = np.zeros(n, np.int64)
+    seen = np.empty(27, np.int64)
+    for k in range(n):
+        visited = 0
+        for cell in range(27):
+            key = _cell_key(cells[k, 0] + cell % 3 - 1, cells[k, 1] + (cell // 3) % 3 - 1, cells[k, 2] + cell // 9 - 1) & (
+                buckets - 1
+            )
+            again = False
+            for before in range(visited):
+                again |= seen[before] == key
+            if again:
+                continue
+            seen[visited] = key
+            visited += 1
+            at = head[key]
+            while at >= 0:
+                if at != k:
+                    d = 0.0
+                    for axis in range(3):
+                        d += (positions[k, axis] - positions[at, axis]) ** 2
+                    counts[k] += d < near2
+                at = after[at]
+    return counts

@@ -1,0 +1,335 @@
+"""PatchMatch over cells: plane hypotheses compete by normalised cross-correlation in several sources.
+
+A hypothesis is a plane written in the image: inverse depth w at the cell's centre and its slopes a, b per pixel, because
+the inverse depth of a plane is linear over a pinhole image. Handing it to a neighbour is then w + a du + b dv, and the
+warp into a source is the homography M (u, v, 1) + t (w + a du + b dv). Scheme: Bleyer et al. 2011 (PatchMatch stereo),
+with the red-black sweeps of Galliani et al. 2015 (Gipuma).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+JIT = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy", "boundscheck": False}
+NO_MATCH = np.float32(2.0)
+"""Cost of a hypothesis that a source cannot see: that of perfect anticorrelation."""
+_MASK = np.uint64(0xFFFFFFFF)
+
+
+@njit(**JIT)
+def next_random(state):
+    """Advance a 32-bit linear congruential generator (1-element uint64 array); uniform in [-1, 1).
+
+    The product is masked because numba multiplies uint32 in 64 bits; the high bits are the random ones.
+    """
+    state[0] = (state[0] * np.uint64(1664525) + np.uint64(1013904223)) & np.uint64(0xFFFFFFFF)
+    return np.float32(np.float64(state[0] >> np.uint64(8)) * (2.0 / 16777216.0) - 1.0)
+
+
+@njit(**JIT)
+def window_offsets(cell_px, window_px):
+    """Pixel offsets (n,), (n,) of a window's samples from the centre of its cell, row by row."""
+    side = window_px if (window_px - cell_px) % 2 == 0 else window_px + 1
+    du = np.empty(side * side, np.float32)
+    dv = np.empty(side * side, np.float32)
+    for row in range(side):
+        for column in range(side):
+            du[row * side + column] = column - 0.5 * (side - 1)
+            dv[row * side + column] = row - 0.5 * (side - 1)
+    return du, dv
+
+
+@njit(**JIT)
+def load_patch(image, u, v, du, dv, patch):
+    """Copy the window around (u, v) with its mean taken out; returns its sum of squares, -1 if it leaves the image."""
+    height, width = image.shape
+    reach = du[-1]
+    left, top = round(u - reach), round(v - reach)
+    side = round(2 * reach) + 1
+    if left < 0 or top < 0 or left + side > width or top + side > height:
+        return np.float32(-1.0)
+    total = np.float32(0.0)
+    for row in range(side):
+        for column in range(side):
+            value = image[top + row, left + column]
+            patch[row * side + column] = value
+            total += value
+    mean = total / np.float32(patch.size)
+    energy = np.float32(0.0)
+    for k in range(patch.size):
+        patch[k] -= mean
+        energy += patch[k] * patch[k]
+    return energy
+
+
+@njit(inline="always")
+def _corner_inside(x, y, z, width, height):
+    return z > 1e-6 and x >= 0.0 and y >= 0.0 and x < (width - 1.001) * z and y < (height - 1.001) * z
+
+
+@njit(**JIT)
+def correlate(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, patch, energy):
+    """1 - normalised cross-correlation of a view's window with its image in one source under a plane hypothesis."""
+    x0 = np.float32(m[0, 0] * u + m[0, 1] * v + m[0, 2] + t[0] * w)
+    y0 = np.float32(m[1, 0] * u + m[1, 1] * v + m[1, 2] + t[1] * w)
+    z0 = np.float32(m[2, 0] * u + m[2, 1] * v + m[2, 2] + t[2] * w)
+    xu, xv = np.float32(m[0, 0] + t[0] * a), np.float32(m[0, 1] + t[0] * b)
+    yu, yv = np.float32(m[1, 0] + t[1] * a), np.float32(m[1, 1] + t[1] * b)
+    zu, zv = np.float32(m[2, 0] + t[2] * a), np.float32(m[2, 1] + t[2] * b)
+    # a back-facing plane mirrors the window
+    if (xu * yv - xv * yu) * z0 + (yu * zv - yv * zu) * x0 + (zu * xv - zv * xu) * y0 <= 0.0:
+        return NO_MATCH
+    e = du[-1]
+    for sign_u in (-e, e):
+        for sign_v in (-e, e):
+            if not _corner_inside(
+                x0 + sign_u * xu + sign_v * xv,
+                y0 + sign_u * yu + sign_v * yv,
+                z0 + sign_u * zu + sign_v * zv,
+                width,
+                height,
+            ):
+                return NO_MATCH
+    one = np.float32(1.0)
+    total, square, cross = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for k in range(patch.size):
+        over = one / (z0 + du[k] * zu + dv[k] * zv)
+        x = (x0 + du[k] * xu + dv[k] * xv) * over
+        y = (y0 + du[k] * yu + dv[k] * yv) * over
+        column, row = np.int32(x), np.int32(y)
+        fx, fy = x - np.float32(column), y - np.float32(row)
+        at = np.uint64(start + row * stride + column)
+        top = flat[at] + fx * (flat[at + np.uint64(1)] - flat[at])
+        under = at + np.uint64(stride)
+        bottom = flat[under] + fx * (flat[under + np.uint64(1)] - flat[under])
+        value = top + fy * (bottom - top)
+        total += value
+        square += value * value
+        cross += value * patch[k]
+    variance = square - total * total / np.float32(patch.size)
+    if variance <= np.float32(1e-3) * np.float32(patch.size):
+        return NO_MATCH
+    return one - cross / math.sqrt(variance * energy)
+
+
+@njit(**JIT)
+def score(flat, area, stride, sizes, sources, m, t, u, v, w, a, b, du, dv, patch, energy, best_sources, costs):
+    """Mean cost over the `best_sources` best of the sources; `costs` receives each source's, sorted."""
+    n = len(sources)
+    for s in range(n):
+        source = sources[s]
+        cost = correlate(
+            flat, source * area, stride, sizes[source, 0], sizes[source, 1], m[s], t[s], u, v, w, a, b, du, dv, patch, energy
+        )
+        place = s
+        while place > 0 and costs[place - 1] > cost:
+            costs[place] = costs[place - 1]
+            place -= 1
+        costs[place] = cost
+    keep = min(best_sources, n)
+    total = np.float32(0.0)
+    for k in range(keep):
+        total += costs[k]
+    return total / np.float32(keep)
+
+
+@njit(**JIT)
+def pixel_of_disparity(m, t, u, v, w):
+    """Inverse depth that moves the median source's image by one pixel, 1/m."""
+    n = len(t)
+    rates = np.empty(n, np.float32)
+    for s in range(n):
+        z = m[s, 2, 0] * u + m[s, 2, 1] * v + m[s, 2, 2] + t[s, 2] * w
+        x = (m[s, 0, 0] * u + m[s, 0, 1] * v + m[s, 0, 2] + t[s, 0] * w) / z
+        y = (m[s, 1, 0] * u + m[s, 1, 1] * v + m[s, 1, 2] + t[s, 1] * w) / z
+        rates[s] = math.hypot((t[s, 0] - x * t[s, 2]) / z, (t[s, 1] - y * t[s, 2]) / z)
+    rates.sort()
+    return np.float32(1.0) / max(rates[n // 2], np.float32(1e-6))
+
+
+@njit(**JIT)
+def sweep_depths(images, sizes, view, sources, m, t, cell_px, window_px, depths, best_sources, min_energy, active, plane, cost):
+    """Try each of `depths` (n,), facing the camera, in every active cell; fills plane (rows, columns, 3) and cost."""
+    flat = images.reshape(-1)
+    area, stride = images.shape[1] * images.shape[2], images.shape[2]
+    du, dv = window_offsets(cell_px, window_px)
+    patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
+    rows, columns = cost.shape
+    image = images[view, : sizes[view, 1], : sizes[view, 0]]
+    zero = np.float32(0.0)
+    for row in range(rows):
+        for column in range(columns):
+            if not active[row, column]:
+                continue
+            u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
+            energy = load_patch(image, u, v, du, dv, patch)
+            if energy < min_energy:
+                active[row, column] = False
+                continue
+            for k in range(len(depths)):
+                w = np.float32(1.0 / depths[k])
+                trial = score(
+                    flat, area, stride, sizes, sources, m, t, u, v, w, zero, zero, du, dv, patch, energy, best_sources, costs
+                )
+                if trial < cost[row, column]:
+                    cost[row, column] = trial
+                    plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = w, zero, zero
+
+
+@njit(**JIT)
+def propagate(
+    images,
+    sizes,
+    view,
+    sources,
+    m,
+    t,
+    cell_px,
+    window_px,
+    w_limits,
+    best_sources,
+    min_energy,
+    far_step,
+    trials,
+    reach_px,
+    slope_reach,
+    seed,
+    active,
+    plane,
+    cost,
+):
+    """One red and one black sweep: each cell tries its neighbours' planes, then `trials` random changes of its own.
+
+    Neighbours are the four beside the cell and, where `far_step` > 0, the best of the four at that distance. Random
+    changes halve in size from `reach_px` pixels of disparity and `slope_reach` (tangent of tilt). Returns how many
+    random changes were accepted.
+    """
+    flat = images.reshape(-1)
+    area, stride = images.shape[1] * images.shape[2], images.shape[2]
+    du, dv = window_offsets(cell_px, window_px)
+    patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
+    rows, columns = cost.shape
+    image = images[view, : sizes[view, 1], : sizes[view, 0]]
+    state = np.array([seed], np.uint64)
+    steps = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]])
+    accepted = 0
+    for colour in range(2):
+        for row in range(rows):
+            for column in range((row + colour) % 2, columns, 2):
+                if not active[row, column]:
+                    continue
+                u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
+                energy = load_patch(image, u, v, du, dv, patch)
+                if energy < min_energy:
+                    active[row, column] = False
+                    continue
+                w, a, b = plane[row, column, 0], plane[row, column, 1], plane[row, column, 2]
+                best = cost[row, column]
+                far_r, far_c, far_cost = -1, -1, best
+                for k in range(8 if far_step > 0 else 4):
+                    reach = 1 if k < 4 else far_step
+                    r, c = row + steps[k % 4, 0] * reach, column + steps[k % 4, 1] * reach
+                    if r < 0 or c < 0 or r >= rows or c >= columns or not active[r, c]:
+                        continue
+                    if k >= 4:
+                        if cost[r, c] < far_cost:
+                            far_r, far_c, far_cost = r, c, cost[r, c]
+                        continue
+                    pa, pb = plane[r, c, 1], plane[r, c, 2]
+                    pw = plane[r, c, 0] + np.float32(cell_px) * (pa * np.float32(column - c) + pb * np.float32(row - r))
+                    if pw <= w_limits[0] or pw >= w_limits[1]:
+                        continue
+                    trial = score(
+                        flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
+                    )
+                    if trial < best:
+                        best, w, a, b = trial, pw, pa, pb
+                if far_r >= 0:
+                    pa, pb = plane[far_r, far_c, 1], plane[far_r, far_c, 2]
+                    pw = plane[far_r, far_c, 0] + np.float32(cell_px) * (
+                        pa * np.float32(column - far_c) + pb * np.float32(row - far_r)
+                    )
+                    if pw > w_limits[0] and pw < w_limits[1]:
+                        trial = score(
+                            flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
+                        )
+                        if trial < best:
+                            best, w, a, b = trial, pw, pa, pb
+                if trials > 0 and w > 0:
+                    unit = pixel_of_disparity(m, t, u, v, w)
+                    scale = np.float32(1.0)
+                    for _ in range(trials):
+                        pw = w + unit * np.float32(reach_px) * scale * next_random(state)
+                        pa = a + w * np.float32(slope_reach) * scale * next_random(state)
+                        pb = b + w * np.float32(slope_reach) * scale * next_random(state)
+                        scale *= np.float32(0.5)
+                        if pw <= w_limits[0] or pw >= w_limits[1]:
+                            continue
+                        trial = score(
+                            flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
+                        )
+                        if trial < best:
+                            best, w, a, b = trial, pw, pa, pb
+                            accepted += 1
+                cost[row, column] = best
+                plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = w, a, b
+    return accepted
+
+
+@njit(**JIT)
+def descend(
+    images,
+    sizes,
+    view,
+    sources,
+    m,
+    t,
+    cell_px,
+    window_px,
+    best_sources,
+    min_energy,
+    coarse_plane,
+    coarse_active,
+    active,
+    plane,
+    cost,
+):
+    """Start a level from the one above: each cell takes the best of the four coarse planes around its centre."""
+    flat = images.reshape(-1)
+    area, stride = images.shape[1] * images.shape[2], images.shape[2]
+    du, dv = window_offsets(cell_px, window_px)
+    patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
+    rows, columns = cost.shape
+    coarse_rows, coarse_columns = coarse_active.shape
+    image = images[view, : sizes[view, 1], : sizes[view, 0]]
+    half = np.float32(0.5)
+    for row in range(rows):
+        for column in range(columns):
+            if not active[row, column]:
+                continue
+            u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
+            energy = load_patch(image, u, v, du, dv, patch)
+            if energy < min_energy:
+                active[row, column] = False
+                continue
+            found = False
+            for k in range(4):
+                r = row // 2 + (k // 2) * (2 * (row % 2) - 1)
+                c = column // 2 + (k % 2) * (2 * (column % 2) - 1)
+                if r < 0 or c < 0 or r >= coarse_rows or c >= coarse_columns or not coarse_active[r, c]:
+                    continue
+                # slopes are per pixel: half as steep on an image twice as large
+                pa, pb = half * coarse_plane[r, c, 1], half * coarse_plane[r, c, 2]
+                away_u, away_v = column + 0.5 - 2 * (c + 0.5), row + 0.5 - 2 * (r + 0.5)
+                pw = coarse_plane[r, c, 0] + np.float32(cell_px * away_u) * pa + np.float32(cell_px * away_v) * pb
+                trial = score(
+                    flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
+                )
+                if trial < cost[row, column]:
+                    found = True
+                    cost[row, column] = trial
+                    plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = pw, pa, pb
+            active[row, column] = found
