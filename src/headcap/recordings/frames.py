@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.recordings.between import image_between
+from headcap.recordings.between import Field, Grey, Motion, flow, half_grey, image_between, motion, moving_region
 from headcap.recordings.probe import Recording
 from headcap.recordings.settings import FrameSettings
 from headcap.recordings.video import Image, VideoFrames
+
+# four grey images and four flows make one image between two frames
+MEMORY_PER_CAMERA = 8
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,7 @@ class TakeFrames:
             if times.shape != (len(recording.frame_times_s),) or np.any(np.diff(times) <= 0):
                 raise ValueError(f"{camera}: {times.shape} rising common times for {len(recording.frame_times_s)} frames")
         self._videos: dict[str, VideoFrames] = {}
+        self._memory: OrderedDict[Hashable, NDArray] = OrderedDict()
 
     def __enter__(self) -> TakeFrames:
         return self
@@ -116,7 +121,8 @@ class TakeFrames:
         """The camera's image at a moment, (height, width, 3) uint8 BGR.
 
         Nearer to a frame than `untouched_fraction` of the interval it is that frame, untouched; else both frames around
-        are warped to the moment along their flow (see `image_between`). Raises `ValueError` where the camera does not
+        are warped to the moment along their flow, bent by the flow to the frames before and behind them (see
+        `image_between`). What does not move is copied from the nearer frame. Raises `ValueError` where the camera does not
         cover the moment.
         """
         if not self.covers(camera, time_s):
@@ -128,12 +134,54 @@ class TakeFrames:
             return self.frame(camera, around.before)
         if around.fraction >= 1 - limit:
             return self.frame(camera, around.after)
-        before, after = self.frame(camera, around.before), self.frame(camera, around.after)
-        return image_between(before, after, around.fraction, self.settings)
+        return self._between(camera, around)
 
     def images_at(self, time_s: float) -> dict[str, Image]:
         """`at` for every camera that covers the moment, in the order of the recordings."""
         return {camera: self.at(camera, time_s) for camera in self.cameras if self.covers(camera, time_s)}
+
+    def _between(self, camera: str, around: Bracket) -> Image:
+        before, after = self.frame(camera, around.before), self.frame(camera, around.after)
+        region = moving_region(before, after, self.settings)
+        nearer = before if around.fraction < 0.5 else after
+        if region is None:
+            return nearer
+        moved = image_between(
+            before,
+            after,
+            self._motion(camera, around.before, around.after),
+            self._motion(camera, around.after, around.before),
+            around.fraction,
+        )
+        out = nearer.copy()
+        out[region] = moved[region]
+        return out
+
+    def _motion(self, camera: str, number: int, ahead: int) -> Motion:
+        """Motion of a frame towards a neighbour, bent by its flow to the neighbour on the other side."""
+        behind, times = 2 * number - ahead, self._times[camera]
+        forward = self._flow(camera, number, ahead)
+        if not 0 <= behind < len(times):
+            return motion(forward, None)
+        ratio = (times[behind] - times[number]) / (times[number] - times[ahead])
+        return motion(forward, self._flow(camera, number, behind), float(ratio))
+
+    def _flow(self, camera: str, source: int, target: int) -> Field:
+        return self._recall(
+            (camera, source, target), lambda: flow(self._half_grey(camera, source), self._half_grey(camera, target))
+        )
+
+    def _half_grey(self, camera: str, number: int) -> Grey:
+        return self._recall((camera, number), lambda: half_grey(self.frame(camera, number)))
+
+    def _recall(self, key: Hashable, compute: Callable[[], NDArray]) -> NDArray:
+        """Neighbouring moments share greys and flows: keep as many as one moment of every camera needs."""
+        if key not in self._memory:
+            self._memory[key] = compute()
+            while len(self._memory) > MEMORY_PER_CAMERA * len(self._recordings):
+                self._memory.popitem(last=False)
+        self._memory.move_to_end(key)
+        return self._memory[key]
 
     def _video(self, camera: str) -> VideoFrames:
         if camera not in self._videos:

@@ -30,4 +30,4 @@ class FrameSettings(BaseModel):
     still_level: float = Field(1.5, gt=0, description="mean grey difference of an 8x8 cell above which it counts as moving")
     margin_px: int = Field(24, ge=0, description="border around what moves that flow is computed on as well")
     bridged_frames: int = Field(2, ge=0, description="dropped frames in a row that flow may bridge")
-    frames_cached: int = Field(4, ge=2, description="decoded frames kept per camera")
+    frames_cached: int = Field(5, ge=4, description="decoded frames kept per camera")
