@@ -95,10 +95,8 @@ def _run_one(name: str, out_path: Path) -> None:
 def _summary(out_path: Path) -> str:
     document = json.loads(out_path.read_text())
     ours, peer = document["ours"], document["peer"]
-    return (
-        f"{ours.get('name', 'ours')} {ours['cpu_seconds']:.2f} CPU-s, {peer.get('name', 'peer')} {peer['cpu_seconds']:.2f} CPU-s, "
-        f"ratio {document['cpu_ratio']:.2f}, peak {document['peak_memory_gib']:.2f} GiB -> {out_path}"
-    )
+    took = [f"{side.get('name', label)} {side['cpu_seconds']:.2f} CPU-s" for label, side in (("ours", ours), ("peer", peer))]
+    return f"{', '.join(took)}, ratio {document['cpu_ratio']:.2f}, peak {document['peak_memory_gib']:.2f} GiB -> {out_path}"
 
 
 def main(arguments: list[str]) -> int:

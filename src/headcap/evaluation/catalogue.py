@@ -37,7 +37,7 @@ CATALOGUE: dict[str, FigureKind] = {
     "reconstruct.points": _stated("", "points per frame, median"),
     "register.error_median_mm": _stated("mm", "template vertices to the scan's surface, median", 0.15),
     "register.error_p95_mm": _stated("mm", "template vertices to the scan's surface, 95th percentile", 0.6),
-    "register.flipped_triangles": _stated("", "triangles of the template turned against the unregistered mesh", 0.0),
+    "register.flipped_triangles": _stated("", "triangles of the template turned by more than 90 degrees against all around them"),
     "track.surface_error_median_mm": FigureKind("mm", "seen template vertices to the true surface, all frames, median", 0.12),
     "track.surface_error_p95_mm": FigureKind("mm", "seen template vertices to the true surface, 95th percentile", 0.5),
     "track.drift_median_mm": FigureKind("mm", f"seen template vertices {_MATERIAL}, median", 0.15),
@@ -45,8 +45,8 @@ CATALOGUE: dict[str, FigureKind] = {
     "track.drift_all_median_mm": FigureKind("mm", f"all template vertices, seen or not, {_MATERIAL}, median"),
     "track.drift_all_p95_mm": FigureKind("mm", f"all template vertices, seen or not, {_MATERIAL}, 95th percentile"),
     "track.lip_gap_error_mm": FigureKind("mm", "distance between upper and lower inner-lip material points, rms error", 0.5),
-    "track.cloud_distance_median_mm": _stated("mm", "template vertices to the nearest reconstructed point, median"),
-    "track.flipped_triangles": _stated("", "triangles turned by more than 90 degrees against their neighbours, worst frame"),
+    "track.cloud_distance_median_mm": _stated("mm", "reconstructed points to the tracked mesh, median"),
+    "track.flipped_triangles": _stated("", "triangles turned by more than 90 degrees against all around them, worst frame"),
 }
 
 

@@ -15,11 +15,13 @@ from headcap.evaluation.calibration import RigErrors, compare_rigs
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.metrics import Figure, make_figure
 from headcap.evaluation.reconstruction import CloudErrors, compare_cloud, summarise_clouds
+from headcap.evaluation.registration import count_flipped
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.sync import clock_shift_s, offset_error_ms
 from headcap.evaluation.tracking import TrackingErrors, compare_sequence
 from headcap.evaluation.truth import Truth
 from headcap.geometry.transforms import transform
+from headcap.meshes.closest_point import Surface
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
@@ -144,15 +146,34 @@ def evaluate_session(
     """Every figure of a session: those its stages stated in their manifests, and those against truth where there is one."""
     figures = stated_figures(session, takes, settings)
     for take in takes:
-        count = [len(PointCloud.load(path)) for path in spread(session.clouds(take), settings.cloud_frames)]
-        if count:
-            figures += _figures({"reconstruct.points": float(np.median(count))}, session.name, take, settings)
+        figures += _figures(measure_take(session, take, settings), session.name, take, settings)
     if truth is not None:
         comparison = TruthComparison(session, truth, rig, settings)
         figures += _figures(comparison.calibrate(), session.name, None, settings)
         for take in takes:
             figures += compare_take(comparison, take)
     return figures
+
+
+def measure_take(session: SessionFolder, take: str, settings: EvaluateSettings) -> dict[str, float]:
+    """Figures of a take that need no truth: points per frame, their distance to the tracked mesh, flipped triangles."""
+    clouds = [PointCloud.load(path) for path in spread(session.clouds(take), settings.cloud_frames)]
+    values = {"reconstruct.points": float(np.median([len(cloud) for cloud in clouds]))} if clouds else {}
+    if not session.sequence(take).is_file():
+        return values
+    sequence, triangles = MeshSequence.load(session.sequence(take)), Template.load(session.template).triangles
+    positions = sequence.positions()
+    values["track.flipped_triangles"] = float(max(count_flipped(mesh, triangles) for mesh in positions))
+    gaps = [cloud_distance_mm(cloud, sequence, positions, triangles) for cloud in clouds]
+    if gaps:
+        values["track.cloud_distance_median_mm"] = float(np.median(np.concatenate(gaps)))
+    return values
+
+
+def cloud_distance_mm(cloud: PointCloud, sequence: MeshSequence, positions: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Distances (n,) of a cloud's points to the tracked mesh at its moment; positions (t, v, 3) are the sequence's."""
+    nearest_frame = int(np.abs(sequence.time_s - cloud.time_s).argmin())
+    return 1e3 * Surface(positions[nearest_frame], triangles).closest(cloud.positions).distance
 
 
 def stated_figures(session: SessionFolder, takes: Iterable[str], settings: EvaluateSettings) -> list[Figure]:
