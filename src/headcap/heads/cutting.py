@@ -1,4 +1,4 @@
-"""Cut the model's topology out of the sculpted head: `python -m headcap.heads.cutting` rewrites `base_head.npz`.
+"""Cut the model's topology out of the sculpted head: `headcap.heads.procedural.build()` rewrites `base_head.npz`.
 
 Half of the surface is flattened (LSCM), filled with points at the wanted density (centroidal relaxation over Delaunay
 triangulations, rings of fixed points around mouth and eyes), lifted back and mirrored, so that the mesh is symmetric to
@@ -6,7 +6,6 @@ the last bit. The mouth is cut open along the line where the lips meet and a poc
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import igl
 import numpy as np
@@ -19,7 +18,6 @@ from headcap.heads import sculpt
 from headcap.meshes.closest_point import Surface
 from headcap.meshes.topology import boundary_loops, submesh, vertex_components
 
-STORE = Path(__file__).with_name("base_head.npz")
 GRID_MM, SLIT_STEP_MM, EYE_STEP_MM = 2.5, 1.7, 1.8
 EYE_HALF_WIDTH_MM, EYE_UP_MM, EYE_DOWN_MM = 14.0, 5.4, 4.4
 

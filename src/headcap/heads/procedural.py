@@ -93,14 +93,12 @@ def _texture_coordinates(skin, half_triangles, chains, vertices, whole, pocket) 
     sides = np.arange(len(triangles)) >= len(half_triangles)
     opened, origin = unwrapping.cut_open(triangles, chain, sides, len(shut))
     flat = unwrapping.unwrap_disc(unwrapping.shrunken_scalp(shut[origin]), opened)
-    up = flat[chains["slit"][0]] - flat[chain[-1]]
     flat = _upright(flat, shut[origin])
     inside, inside_triangles = unwrapping.chart_of(vertices, whole, pocket)
     skin_uv, pocket_uv = unwrapping.lay_out(flat, inside)
     uv_triangles = np.empty_like(whole)
     uv_triangles[~pocket] = opened
     uv_triangles[pocket] = inside_triangles + len(flat)
-    del up
     return np.concatenate([skin_uv, pocket_uv]), uv_triangles
 
 
@@ -110,7 +108,3 @@ def _upright(flat: np.ndarray, space: np.ndarray) -> np.ndarray:
     a = np.linalg.lstsq(np.c_[space[front, :2], np.ones(front.sum())], flat[front], rcond=None)[0][:2]
     u, _, vt = np.linalg.svd(a)
     return flat @ (u @ vt).T
-
-
-if __name__ == "__main__":
-    build()

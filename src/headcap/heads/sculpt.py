@@ -23,7 +23,7 @@ def head_field(points: NDArray) -> Field:
     field = field - _relief(p)
     field = _blend(field, _nose(p), 9.0)
     field = _blend(field, _ball(p, PUPIL_MM, LID_RADIUS_MM), 5.0)
-    field = _blend(field, _lips(p), 5.0)
+    field = _blend(field, _lips(p), 6.0)
     field = _blend(field, _ear(p), 5.0)
     return field - _dents(p)
 
@@ -57,14 +57,14 @@ def mouth_line(x: NDArray) -> NDArray:
 def _skull(p: NDArray) -> Field:
     cranium = _ellipsoid(p, (0, 28, -1), (77, 88, 98))
     face = _ellipsoid(p, (0, -30, 35), (58, 84, 56))
-    jaw = _cone(p, (45, -64, 2), (14, -97, 74), 13, 15)
-    chin = _ellipsoid(p, (0, -98, 79), (21, 16, 17))
-    cheek = _ellipsoid(p, (43, -20, 48), (22, 15, 22))
+    jaw = _cone(p, (43, -62, 4), (13, -96, 72), 15, 16)
+    chin = _ellipsoid(p, (0, -98, 79), (18, 15, 17))
+    cheek = _ellipsoid(p, (41, -24, 46), (22, 20, 22))
     muzzle = _ellipsoid(p, (0, -64, 63), (35, 32, 37))
     field = _blend(cranium, face, 18.0)
-    field = _blend(field, jaw, 22.0)
+    field = _blend(field, jaw, 30.0)
     field = _blend(field, _blend(chin, muzzle, 12.0), 14.0)
-    return _blend(field, cheek, 14.0)
+    return _blend(field, cheek, 20.0)
 
 
 def _neck(p: NDArray) -> Field:
@@ -74,7 +74,7 @@ def _neck(p: NDArray) -> Field:
     q = (p - centre) / radii
     round_distance = np.hypot(q[:, 0], q[:, 2])
     column = (round_distance - 1.0) * 56.0
-    strap = _cone(p, (56, -45, -28), (13, -208, 24), 10, 7)
+    strap = _cone(p, (50, -62, -26), (13, -208, 23), 9, 7)
     shoulder = _cone(p, (25, -205, -52), (160, -262, -48), 38, 34)
     chest = _ellipsoid(p, (0, -292, -30), (150, 84, 72))
     column = -_blend(-column, -(p[:, 1] + 35.0), 40.0)
@@ -83,11 +83,11 @@ def _neck(p: NDArray) -> Field:
 
 
 def _relief(p: NDArray) -> Field:
-    sockets = -13.0 * _bump(p, (30, 0, 84), (13.5, 9.5, 26)) - 4.0 * _bump(p, (17, 4, 86), (5.5, 7, 20))
+    sockets = -12.0 * _bump(p, (31, 1, 84), (14, 10, 26)) - 4.0 * _bump(p, (17, 3, 86), (6, 8, 20))
     brow = 2.0 * _bump(p, (27, 20, 88), (15, 6, 18)) + 1.0 * _bump(p, (0, 19, 96), (9, 7, 12))
     bridge = -5.0 * _bump(p, (0, 4, 97), (9, 8, 12))
     temple = -3.5 * _bump(p, (66, 18, 45), (14, 20, 18))
-    cheek_hollow = -3.0 * _bump(p, (48, -58, 50), (12, 16, 20))
+    cheek_hollow = -1.0 * _bump(p, (48, -58, 50), (12, 16, 20))
     under_lip = -3.6 * _bump(p, (0, -83.5, 98), (17, 4.5, 12))
     larynx = 5.0 * _bump(p, (0, -152, 40), (9, 10, 14)) + 1.5 * _bump(p, (0, -166, 38), (11, 14, 14))
     notch = -4.0 * _bump(p, (0, -210, 24), (12, 10, 16))
@@ -96,19 +96,19 @@ def _relief(p: NDArray) -> Field:
 
 def _nose(p: NDArray) -> Field:
     bridge = _cone(p, (0, 6, 84), (0, -34, 108), 6.5, 8.0)
-    tip = _ball(p, (0, -36.5, 111), 9.5)
-    wing = _ellipsoid(p, (12.5, -39.5, 101), (6.5, 7.5, 10.0))
-    columella = _cone(p, (0, -45, 99), (0, -42, 110), 3.6, 4.2)
+    tip = _ball(p, (0, -36.5, 110.5), 9.8)
+    wing = _ellipsoid(p, (11.5, -39.5, 101), (6.5, 7.0, 10.5))
+    columella = _cone(p, (0, -45, 98), (0, -41, 110), 4.2, 5.0)
     flank = _ellipsoid(p, (0, -26, 88), (15, 26, 17))
-    field = _blend(_blend(bridge, tip, 7.0), _blend(wing, columella, 4.0), 5.0)
-    return _blend(field, flank, 8.0)
+    field = _blend(_blend(bridge, tip, 9.0), _blend(wing, columella, 5.0), 7.5)
+    return _blend(field, flank, 10.0)
 
 
 def _lips(p: NDArray) -> Field:
     x, y = p[:, 0], p[:, 1] - (mouth_line(p[:, 0]) + 67.0)
     q = np.stack([x, y, p[:, 2]], axis=1)
-    upper = _blend(_cone(q, (4, -62.5, 99.0), (23.5, -66.3, 87.5), 5.6, 2.6), _ball(q, (0, -63.6, 99.5), 4.6), 3.0)
-    lower = _blend(_cone(q, (6, -72.2, 97.6), (22.5, -67.7, 87.5), 6.4, 2.6), _ball(q, (0, -72.4, 98.0), 6.2), 3.0)
+    upper = _blend(_cone(q, (4, -62.5, 99.0), (23.5, -66.3, 87.5), 5.6, 2.6), _ball(q, (0, -63.2, 99.8), 4.9), 5.0)
+    lower = _blend(_cone(q, (6, -72.2, 97.6), (22.5, -67.7, 87.5), 6.4, 2.6), _ball(q, (0, -72.4, 97.6), 6.3), 6.0)
     return _blend(upper, lower, 1.0)
 
 
@@ -129,7 +129,7 @@ def _ear(p: NDArray) -> Field:
 
 def _dents(p: NDArray) -> Field:
     nostril = -4.2 * _bump(p, (6.6, -46.0, 106.0), (3.0, 4.0, 4.6))
-    philtrum = -1.3 * _bump(p, (0, -54.5, 103.5), (2.6, 6.5, 8.0))
+    philtrum = -1.0 * _bump(p, (0, -54.5, 103.5), (2.6, 6.5, 8.0))
     off = p[:, 1] - mouth_line(p[:, 0])
     span = 1.0 / (1.0 + np.exp((p[:, 0] - MOUTH_HALF_WIDTH_MM + 0.5) / 1.2))
     crease = -2.0 * np.exp(-((off / 1.3) ** 2)) * span * (p[:, 2] > 70.0)

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.path import Path as Polygon
 from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
 from headcap.heads import sculpt
 from headcap.heads.cutting import Plane
-from headcap.meshes.topology import grow, submesh, vertex_adjacency
 
 # the mouth pocket ring by ring from the lip line inwards: depth and half opening in mm, width as a share of the mouth's
 POCKET_RINGS = (
@@ -56,8 +56,6 @@ def lift(plane: Plane, points: NDArray, chains: dict[str, NDArray], eye: NDArray
 
 def inside_rim(points: NDArray, chains: dict[str, NDArray]) -> NDArray[np.int64]:
     """Flat points (k, 2) strictly inside the lid rim."""
-    from matplotlib.path import Path as Polygon
-
     inside = Polygon(points[chains["rim"]]).contains_points(points)
     inside[chains["rim"]] = False
     return np.flatnonzero(inside)
@@ -159,7 +157,6 @@ def regions(vertices: NDArray, triangles: NDArray, pocket: NDArray, marks: dict[
     """Named masks (n,) from where vertices lie on the sculpt; `marks` holds both halves."""
     x, y, z = np.abs(vertices[:, 0]), vertices[:, 1], vertices[:, 2]
     n = len(vertices)
-    adjacency = vertex_adjacency(triangles, n)
     mask = {name: np.isin(np.arange(n), marks[name]) for name in marks}
     inner = np.isin(np.arange(n), np.unique(triangles[pocket]))
     lips = _on_lips(vertices) & ~inner
@@ -168,11 +165,11 @@ def regions(vertices: NDArray, triangles: NDArray, pocket: NDArray, marks: dict[
     slit_upper, slit_lower = mask["slit_upper"], mask["slit_lower"]
     up, down = slit_upper | (roll & upper_side), slit_lower | (roll & ~upper_side)
     ears = _on_ear(vertices)
-    jaw = np.interp(z, [-30, 5, 60, 85], [-62, -86, -112, -116])
+    jaw = np.interp(z, [-30, 5, 50, 75], [-62, -88, -113, -122])
     neck = (y < jaw) | ((z < -10) & (y < -62) & (x < 90))
-    scalp = ((y > 62 + 0.0 * z) | (z < 12)) & ~neck & ~ears
+    scalp = ((y > 70) | (z < 12)) & ~neck & ~ears
     face = ~(scalp | neck | ears | inner) & ~mask["eye"] | slit_upper | slit_lower
-    larynx = (np.linalg.norm((vertices * [[1, 1, 1]] - [0, -155, 38]) / [24, 30, 22], axis=1) < 1) & neck
+    larynx = (np.linalg.norm((vertices - [0, -155, 38]) / [24, 30, 22], axis=1) < 1) & neck
     return {
         "face": face,
         "neck": neck,
@@ -184,7 +181,7 @@ def regions(vertices: NDArray, triangles: NDArray, pocket: NDArray, marks: dict[
         "lips_inner_upper": up,
         "lips_inner_lower": down,
         "mouth_interior": inner & ~(slit_upper | slit_lower | roll),
-        "larynx": grow(larynx, adjacency, 0),
+        "larynx": larynx,
     }
 
 
@@ -215,7 +212,7 @@ def landmarks(vertices: NDArray, marks: dict[str, NDArray], rim: NDArray, partne
         "lip_lower_bottom": nearest((0, -77, 102)),
     }
     paired = {
-        "mouth_corner": int(marks["slit_upper"][len(np.unique(marks["slit_upper"])) // 2]) if False else _corner(vertices, marks),
+        "mouth_corner": _corner(vertices, marks),
         "eye_inner": int(rim[vertices[rim, 0].argmin()]),
         "eye_outer": int(rim[vertices[rim, 0].argmax()]),
         "eye_top": int(rim[vertices[rim, 1].argmax()]),
