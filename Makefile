@@ -36,7 +36,7 @@ fmt: $(STAMP)
 
 # make bench ONLY=stereo runs one; each writes results/bench/<name>.json
 bench: $(STAMP)
-	@$(BIN)/python -m pytest -s -o addopts="" --import-mode=importlib tests/bench$(if $(ONLY),/test_$(ONLY).py)
+	@$(BIN)/python tests/bench/run.py $(ONLY)
 
 clean:
 	rm -rf results .snakemake .pytest_cache .ruff_cache .hypothesis .import_linter_cache

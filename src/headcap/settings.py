@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateSettings
-from headcap.reconstruction.settings import ReconstructSettings
 from headcap.evaluation.settings import EvaluateSettings
+from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.track_settings import TrackSettings
 from headcap.synthetic.settings import RehearsalSettings
@@ -143,7 +143,7 @@ class Session(_Settings):
     calibrate: CalibrateSettings = CalibrateSettings()
     reconstruct: ReconstructSettings = ReconstructSettings()
     sync: dict = {}
-    register_: dict = Field(default={}, alias="register")
+    register_scan: dict = Field(default={}, alias="register")
     track: TrackSettings = TrackSettings()
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
@@ -182,6 +182,18 @@ class Study(_Settings):
 
     study: Name = Field(description="Name of the study.")
     sessions: tuple[str | dict, ...] = Field(min_length=1, description="Session files, or their content.")
+
+
+def schemas() -> dict[str, dict]:
+    """JSON schemas of session and study files, by the name of their file."""
+    study = Study.model_json_schema()
+    session = Session.model_json_schema()
+    # what a rehearsed session does not say is filled in from its rehearsal
+    session["anyOf"] = [{"required": session.pop("required")}, {"required": ["session", "rehearse"]}]
+    return {"session": _draft | session, "study": _draft | study}
+
+
+_draft = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
 
 
 def expand_environment(text: str) -> str:

@@ -1,11 +1,13 @@
 """The manifest beside each artifact: what it is, what it was made from, and the figures of its stage."""
 
 import hashlib
+import json
 import os
 import subprocess
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import headcap
 from headcap.artifacts.files import load_json, save_json
@@ -44,6 +46,12 @@ def digest_file(path: Path | str) -> str:
     """sha256 of a file's content."""
     with open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def digest_settings(**settings: Any) -> str:
+    """sha256 of named settings: pydantic models, or plain values that JSON knows."""
+    plain = {name: value.model_dump(mode="json") if hasattr(value, "model_dump") else value for name, value in settings.items()}
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
 
 
 def write_manifest(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -153,6 +154,10 @@ class Rig:
     def centres(self) -> Array:
         """(n_cameras, 3) in the world, metres."""
         return np.array([camera.centre for camera in self.cameras])
+
+    def only(self, names: Iterable[str]) -> Rig:
+        """The named cameras, in the order given."""
+        return Rig(tuple(self[name] for name in names))
 
     def transformed(self, new_from_world: Array) -> Rig:
         """The rig expressed in another world frame."""

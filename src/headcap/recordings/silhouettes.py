@@ -25,5 +25,7 @@ def _read(pattern: str, frame: int, camera: str) -> NDArray[np.bool_]:
         raise InputError(f"masks: {pattern!r}", expected="a pattern with {camera} and {frame:06d}", remedy=remedy) from error
     image = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
     if image is None:
-        raise InputError(f"masks: {path} is no image", expected="one for each camera and frame", remedy="Write it, or leave masks out")
+        raise InputError(
+            f"masks: {path} is no image", expected="one for each camera and frame", remedy="Write it, or leave masks out"
+        )
     return image > 127

@@ -56,6 +56,13 @@ def load_plan(document: dict[str, Any]) -> Plan:
     return Plan(study.study, {session.session: session for session, _ in checked})
 
 
+def load_rehearsal(document: dict[str, Any]) -> RehearsalSettings:
+    """Rehearsal settings, given as such or under a session's `rehearse`; raises `InputErrors`."""
+    settings, errors = _validate(RehearsalSettings, document.get("rehearse", document))
+    _refuse(errors)
+    return settings
+
+
 def check_session(document: dict[str, Any]) -> tuple[Session | None, list[InputError]]:
     """A session's content as `Session` (None where it cannot be read as one) and all that is wrong with it."""
     document, errors = _with_rehearsal(document)

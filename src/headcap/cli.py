@@ -1,0 +1,143 @@
+"""`headcap ...`: what a user does beside the batch stages."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import headcap
+from headcap.artifacts import ArtifactError
+from headcap.errors import InputError, InputErrors
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status: 0 well, 1 the input or result is not, 2 wrong usage."""
+    options = _parser().parse_args(arguments)
+    try:
+        return options.command(options)
+    except (InputError, InputErrors, ArtifactError, FileNotFoundError) as error:
+        print(f"headcap: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="headcap", description="From the recordings of a camera rig to a tracked head.")
+    parser.add_argument("--version", action="version", version=f"headcap {headcap.__version__}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    def add(name: str, command, help_text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=help_text, description=help_text)
+        sub.set_defaults(command=command)
+        return sub
+
+    check = add("check", _check, "Check a session or study and its recordings without running anything.")
+    check.add_argument("session", type=Path, help="YAML file")
+
+    run = add("run", _run, "Run a session or study, with progress.")
+    run.add_argument("session", type=Path, nargs="?", default=Path("config/demo.yaml"), help="YAML file (default: the demo)")
+    run.add_argument("options", nargs=argparse.REMAINDER, help="further options go to snakemake")
+
+    rehearse = add("rehearse", _rehearse, "Render the recordings of a described rig, with their truth.")
+    rehearse.add_argument("config", type=Path, help="YAML file of rehearsal settings, or a session with a rehearse key")
+    rehearse.add_argument("folder", type=Path, help="where the recordings go")
+
+    metrics = add("metrics", _metrics, "Print the figures of a session.")
+    metrics.add_argument("results", type=Path, help="results folder of a session, or its metrics.json")
+
+    provenance = add("provenance", _provenance, "Print the tree of what a result was made from.")
+    provenance.add_argument("file", type=Path, help="an artifact or its manifest")
+
+    export = add("export", _export, "Write a rig or a mesh sequence in another program's format.")
+    export.add_argument("source", type=Path, help="rig.json or sequence.json")
+    export.add_argument("target", type=Path, help="file or folder to write")
+    export.add_argument("--format", required=True, help="name of the format; `help` lists them")
+    export.add_argument("--template", type=Path, help="template or start.npz whose triangles a sequence has")
+
+    schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
+    schema.add_argument("--folder", type=Path, default=Path("config/schema"))
+    mode = schema.add_mutually_exclusive_group(required=True)
+    mode.add_argument("--write", action="store_true", help="write them")
+    mode.add_argument("--check", action="store_true", help="exit with 1 where they are not in step with the settings")
+    return parser
+
+
+def _check(options: argparse.Namespace) -> int:
+    from headcap.workflow.check import check_recordings
+    from headcap.workflow.plan import load_plan, read_document
+
+    plan = load_plan(read_document(options.session))
+    for session in plan.sessions.values():
+        told = check_recordings(session)
+        print(f"{session.session}: {told}")
+    return 0
+
+
+def _run(options: argparse.Namespace) -> int:
+    from headcap.workflow.plan import load_plan, read_document
+    from headcap.workflow.run import run_workflow
+    from headcap.workflow.summary import summary
+
+    plan = load_plan(read_document(options.session))
+    status = run_workflow(options.session, options.options, show=lambda line: print(line, flush=True))
+    if status == 0:
+        for name in plan.sessions:
+            print(summary(Path("results") / name))
+    return status
+
+
+def _rehearse(options: argparse.Namespace) -> int:
+    from headcap.synthetic.rehearsal import rehearse
+    from headcap.workflow.plan import load_rehearsal, read_document
+
+    rehearse(load_rehearsal(read_document(options.config)), options.folder)
+    print(f"recordings and truth are in {options.folder}")
+    return 0
+
+
+def _metrics(options: argparse.Namespace) -> int:
+    from headcap.evaluation.metrics import describe, load_metrics
+
+    path = options.results / "metrics.json" if options.results.is_dir() else options.results
+    figures = load_metrics(path)
+    print("\n".join(describe(figure) for figure in figures))
+    return 0 if all(figure.ok is not False for figure in figures) else 1
+
+
+def _provenance(options: argparse.Namespace) -> int:
+    from headcap.artifacts.provenance import provenance_tree
+
+    print("\n".join(provenance_tree(options.file)))
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from headcap.export import export_artifact
+
+    written = export_artifact(options.source, options.target, options.format, template=options.template)
+    print(f"wrote {written}")
+    return 0
+
+
+def _schema(options: argparse.Namespace) -> int:
+    from headcap.settings import schemas
+
+    stale = []
+    for name, schema in schemas().items():
+        path, text = options.folder / f"{name}.json", json.dumps(schema, indent=1) + "\n"
+        if options.write:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        elif not path.exists() or path.read_text() != text:
+            stale.append(str(path))
+    if stale:
+        print(f"{', '.join(stale)} not in step with the settings; run: headcap schema --write", file=sys.stderr)
+    return 1 if stale else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,15 @@
+"""What a run ends with: where the report lies, and the main figures."""
+
+from pathlib import Path
+
+from headcap.evaluation.metrics import describe, load_metrics
+
+
+def summary(folder: Path) -> str:
+    """Lines that name a session's report and list its figures, those past their limits marked."""
+    lines = [f"report of {folder.name}: {folder / 'report' / 'report.html'}"]
+    metrics = folder / "metrics.json"
+    if metrics.is_file():
+        held = [figure for figure in load_metrics(metrics) if figure.limit is not None]
+        lines += [f"  {describe(figure)}" for figure in held]
+    return "\n".join(lines)
