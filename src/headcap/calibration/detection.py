@@ -105,11 +105,11 @@ class BoardDetector:
         scale = min(1.0, self.settings.full_search_px / max(image.shape))
         small = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         view = self._charuco_view(small) if self._charuco else self._chessboard_view(small)
-        if scale == 1 or not len(view.corner):
-            return view
+        if len(view.corner) < self.settings.min_corners or _is_line(self.board.corners[view.corner]):
+            return _EMPTY
         # cv2.resize maps the pixel centre x to (x + 0.5) * scale - 0.5
-        pixels = (view.pixels + 0.5) / scale - 0.5
-        return BoardView(view.corner, refine_corners(image, pixels))
+        view = BoardView(view.corner, (view.pixels + 0.5) / scale - 0.5)
+        return BoardView(view.corner, refine_corners(image, view, self.board)[0])
 
     def _charuco_view(self, image: Grey) -> BoardView:
         pixels, ids, _, _ = self._charuco.detectBoard(image)
@@ -144,26 +144,48 @@ def _square_centre(grid: Array, row: int, column: int) -> Array:
     return grid[row : row + 2, column : column + 2].reshape(-1, 2).mean(0)
 
 
-def _refine_window(pixels: Array) -> int:
-    """Half size of the refinement window: a third of the nearest corner distance, so that it holds one corner alone."""
-    if len(pixels) < 2:
-        return 3
-    gaps = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) + np.diag(np.full(len(pixels), np.inf))
-    return int(np.clip(np.median(gaps.min(1)) / 3, 3, 12))
+def refine_corners(image: Grey, view: BoardView, board: BoardSettings) -> tuple[Array, float]:
+    """Sub-pixel places (n, 2) of corners near `view.pixels`, and how far (pixels) the search around each could reach.
 
-
-def refine_corners(image: Grey, pixels: Array) -> Array:
-    """Sub-pixel places (n, 2) of chessboard-like corners near `pixels` (n, 2)."""
-    window = _refine_window(pixels)
+    The image is warped onto the board's plane, so that a foreshortened corner is refined in a square window that holds
+    as much of the image as it can without touching a marker; both cost several times the noise otherwise.
+    """
+    squares = board.corners[view.corner, :2] / (board.square_size_mm * 1e-3)
+    image_from_board, _ = cv2.findHomography(squares, view.pixels)
+    scale = _pixels_per_square(view.pixels, squares)
+    if image_from_board is None or not np.isfinite(scale):
+        return view.pixels, 0.0
+    board_from_flat = np.array([[1 / scale, 0, 0.5 / scale], [0, 1 / scale, 0.5 / scale], [0, 0, 1]])
+    image_from_flat = image_from_board @ board_from_flat
+    size = tuple(int(np.ceil(n * scale)) for n in board.squares)
+    flat = cv2.warpPerspective(
+        image, image_from_flat, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
+    )
+    start = cv2.perspectiveTransform(view.pixels.reshape(-1, 1, 2), np.linalg.inv(image_from_flat)).astype(np.float32)
+    window = max(2, round(_clear_share(board) * scale))
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
-    start = np.ascontiguousarray(pixels, np.float32).reshape(-1, 1, 2)
-    return cv2.cornerSubPix(image, start, (window, window), (-1, -1), criteria).reshape(-1, 2).astype(float)
+    found = cv2.cornerSubPix(flat, start, (window, window), (-1, -1), criteria).astype(float)
+    return cv2.perspectiveTransform(found.reshape(-1, 1, 2), image_from_flat).reshape(-1, 2), float(window)
 
 
-def _still_neighbour(image: Grey, view: BoardView) -> Array | None:
+def _pixels_per_square(pixels: Array, squares: Array) -> float:
+    """Side of the least foreshortened squares in the image, pixels; at most 64, which is resolution enough."""
+    apart = np.linalg.norm(squares[:, None] - squares[None], axis=2)
+    sides = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)[np.abs(apart - 1) < 1e-6]
+    return float(np.clip(np.percentile(sides, 90), 8, 64)) if len(sides) else float("nan")
+
+
+def _clear_share(board: BoardSettings) -> float:
+    """Half window, in squares, that touches nothing but the four squares around a corner."""
+    if board.type == "chessboard":
+        return 0.3
+    return 0.85 * 0.5 * (1 - board.marker_size_mm / board.square_size_mm)
+
+
+def _still_neighbour(image: Grey, view: BoardView, board: BoardSettings) -> Array | None:
     """The same corners in a neighbouring frame if they moved less than half a refinement window, else None."""
-    moved = refine_corners(image, view.pixels)
-    near = np.linalg.norm(moved - view.pixels, axis=1) < 0.5 * _refine_window(view.pixels)
+    moved, reach = refine_corners(image, view, board)
+    near = np.linalg.norm(moved - view.pixels, axis=1) < 0.5 * reach
     return moved if near.mean() > 0.9 else None
 
 
@@ -186,6 +208,11 @@ def luma_frames(path: Path | str) -> Iterator[Frame]:
         for number, frame in enumerate(container.decode(stream)):
             grey = frame.to_ndarray(format="gray")
             yield number, float(frame.pts * frame.time_base), np.ascontiguousarray(np.rot90(grey, round(frame.rotation / 90)))
+
+
+def _duration_s(path: Path | str) -> float:
+    with av.open(str(path)) as container:
+        return float(container.duration or 0) / av.time_base
 
 
 def _with_neighbours(frames: Iterable[Frame]) -> Iterator[tuple[Frame | None, Frame, Frame | None]]:
@@ -215,19 +242,22 @@ def detect_recording(
     than described is seen.
     """
     settings = settings or DetectSettings()
-    source = luma_frames(frames) if isinstance(frames, (str, Path)) else frames
+    interval_s = settings.interval_s
+    if isinstance(frames, (str, Path)):
+        interval_s = max(interval_s, _duration_s(frames) / settings.max_frames)
+        frames = luma_frames(frames)
     detector = BoardDetector(board, settings)
     sightings, searched, size, sample, slot = [], 0, (0, 0), [], None
-    for before, now, after in _with_neighbours(_retimed(source, times_s)):
+    for before, now, after in _with_neighbours(_retimed(frames, times_s)):
         size = now[2].shape[::-1]
-        if (new_slot := int(np.floor((now[1] + start_s) / settings.interval_s + 1e-6))) == slot:
+        if (new_slot := int(np.floor((now[1] + start_s) / interval_s + 1e-6))) == slot:
             continue
         slot, searched = new_slot, searched + 1
         if len(sample) < 24 and searched % 5 == 1:
             sample.append(now[2])
         view = detector.detect(now[2])
-        if len(view.corner) >= settings.min_corners and not _is_line(board.corners[view.corner]):
-            sightings.append(_measured(before, now, after, view, board.inverted))
+        if len(view.corner):
+            sightings.append(_measured(before, now, after, view, detector))
     check_board(sample, board, camera)
     if size == (0, 0):
         raise InputError(f"{camera}: no frames", expected="a recording of the board", remedy="Record the board again.")
@@ -243,15 +273,20 @@ def _is_line(corners: Array) -> bool:
     return np.linalg.matrix_rank(corners[:, :2] - corners[:, :2].mean(0), tol=1e-6) < 2
 
 
-def _measured(before: Frame | None, now: Frame, after: Frame | None, view: BoardView, inverted: bool) -> _Sighting:
-    """Average over three frames and velocity where the board is slow; else NaN velocity."""
+def _measured(before: Frame | None, now: Frame, after: Frame | None, view: BoardView, detector: BoardDetector) -> _Sighting:
+    """Average over three frames and velocity where the board moves slowly and evenly; else NaN velocity."""
+    board, settings = detector.board, detector.settings
     unknown = _Sighting(now[0], now[1], view, np.full(view.pixels.shape, np.nan))
-    around = [(f[1], _still_neighbour(255 - f[2] if inverted else f[2], view)) for f in (before, after) if f is not None]
+    around = [(f[1], _still_neighbour(f[2], view, board)) for f in (before, after) if f is not None]
     if not around or any(pixels is None for _, pixels in around):
         return unknown
     (t0, p0), (t1, p1) = (around[0], around[-1]) if len(around) == 2 else (around[0], (now[1], view.pixels))
     velocity = _smooth(view, (p1 - p0) / (t1 - t0))
     if len(around) == 2:
+        share = (now[1] - t0) / (t1 - t0)
+        uneven = _smooth(view, (1 - share) * p0 + share * p1 - view.pixels)
+        if np.linalg.norm(uneven, axis=1).max() > settings.max_uneven_px:
+            return unknown
         # the mean of three is the place at the middle frame if the motion is even; unequal gaps shift it by the velocity
         mean = (p0 + view.pixels + p1) / 3 - velocity * ((t0 + now[1] + t1) / 3 - now[1])
         view = BoardView(view.corner, mean)

@@ -13,13 +13,14 @@ class DetectSettings(_Frozen):
     interval_s: float = Field(0.05, gt=0, description="time between searched frames; every frame where the rate is lower")
     full_search_px: int = Field(1280, ge=320, description="images longer than this are searched at reduced size, then refined")
     min_corners: int = Field(6, ge=4, description="a frame with fewer corners is dropped")
+    max_uneven_px: float = Field(0.15, gt=0, description="a still frame lies this near the middle of the frames around it")
     max_frames: int = Field(1500, ge=10, description="searched frames per camera; the interval grows to keep to it")
 
 
 class GroupSettings(_Frozen):
     """How detections of all cameras at nearly one moment become one board pose."""
 
-    window_s: float = Field(0.04, gt=0, description="detections up to this far from a pose's moment can serve it")
+    window_s: float = Field(0.05, gt=0, description="detections up to this far from a pose's moment can serve it")
     max_speed_px_s: float = Field(150.0, gt=0, description="frames in which corners move faster are left out")
     max_shift_px: float = Field(1.5, gt=0, description="largest correction of corners for the time to the pose's moment")
     min_cameras: int = Field(2, ge=1, description="cameras that must see a pose")
