@@ -21,6 +21,7 @@ from headcap.evaluation.settings import EvaluateSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.track_settings import TrackSettings
+from headcap.sync.settings import SyncSettings
 from headcap.synthetic.settings import RehearsalSettings
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
@@ -142,7 +143,7 @@ class Session(_Settings):
     ingest: IngestSettings = IngestSettings()
     calibrate: CalibrateSettings = CalibrateSettings()
     reconstruct: ReconstructSettings = ReconstructSettings()
-    sync: dict = {}
+    sync: SyncSettings = SyncSettings()
     register_scan: dict = Field(default={}, alias="register")
     track: TrackSettings = TrackSettings()
     evaluate: Evaluate = Evaluate()

@@ -155,23 +155,29 @@ def _models_of(annotation: Any) -> list[type[BaseModel]]:
     return [model for part in getattr(annotation, "__args__", ()) for model in _models_of(part)]
 
 
-# what takes the place of a value that is wrong, so that the files of the rest can be checked
-_STAND_INS = {"session": "session", "subject": "", "rate_hz": 1.0, "kind": "free", "unit": "m"}
+# what takes the place of a value that is wrong or missing, so that the files of the rest can be checked; the file "" is
+# the data root itself
+_STAND_INS = {"session": "session", "subject": "", "rate_hz": 1.0, "kind": "free", "unit": "m", "file": "", "files": ""}
+_STAND_IN_ENTRIES = {"board": "", "scan": {"file": "", "unit": "m"}, "calibration": {"files": ""}}
 
 
 def _repaired(document: dict, errors: list[InputError]) -> dict:
     document = copy.deepcopy(document)
     for error in errors:
+        location = error.location
+        if location[:1] == ("board",):
+            document["board"] = _STAND_IN_ENTRIES["board"]
+            continue
         holder: Any = document
         try:
-            for part in error.location[:-1]:
+            for part in location[:-1]:
                 holder = holder[part]
-            holder.pop(error.location[-1], None)
+            holder.pop(location[-1], None)
         except (KeyError, IndexError, TypeError, AttributeError):
             continue
-        if error.location[-1] in _STAND_INS:
-            holder[error.location[-1]] = _STAND_INS[error.location[-1]]
-    return document
+        if location[-1] in _STAND_INS:
+            holder[location[-1]] = _STAND_INS[location[-1]]
+    return _STAND_IN_ENTRIES | document
 
 
 def board_of(session: Session) -> BoardSettings:
@@ -191,12 +197,12 @@ def _wrong_board(session: Session) -> list[InputError]:
 
 def _missing_files(session: Session) -> list[InputError]:
     if session.rehearse is None and not session.root.is_dir():
+        found = f"data_root: {session.root.absolute()} is no folder"
         remedy = "Correct data_root, or set the environment variable it names."
-        return [
-            InputError(f"data_root: {session.root.absolute()} is no folder", expected="the recordings' folder", remedy=remedy)
-        ]
+        return [InputError(found, expected="the recordings' folder", remedy=remedy)]
+    remedy = "Correct the path; a camera that did not record is named under missing."
     return [
-        InputError(f"{key}: {path} is not there", expected="a file", remedy="Correct the path, or name the camera under missing.")
+        InputError(f"{key}: {path} is not there", expected="a file", remedy=remedy)
         for key, path in session_files(session)
         if not Path(path).exists()
     ]
