@@ -1,0 +1,1 @@
+"""Rehearse a shoot: a procedural subject, a described rig and the recordings it would make, with the truth beside them."""

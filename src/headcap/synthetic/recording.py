@@ -1,0 +1,72 @@
+"""Writing one camera's recording, H.264 and AAC in mp4, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.artifacts import atomic_path
+from headcap.synthetic.settings import VideoSettings
+
+_AUDIO_BLOCK = 1024
+_TICKS_PER_FRAME = 512
+
+
+def write_recording(
+    path: Path | str,
+    frames: Iterator[tuple[int, NDArray[np.uint8]]],
+    sound: NDArray[np.float32],
+    sound_rate_hz: int,
+    video: VideoSettings,
+) -> None:
+    """Write frames (slot, RGB (height, width, 3)) and sound (n,) to an mp4; slot k is presented at k / rate, missing slots are gaps.
+
+    Only one frame is held at a time; the file appears whole or not at all.
+    """
+    with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+        picture, track = _picture_stream(container, video), _sound_stream(container, sound_rate_hz)
+        blocks = _sound_blocks(sound, sound_rate_hz)
+        for slot, image in frames:
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+            frame.pts, frame.time_base = slot * _TICKS_PER_FRAME, picture.codec_context.time_base
+            container.mux(picture.encode(frame))
+            # sound goes in beside the picture, so that players and readers need not seek
+            for block in blocks:
+                container.mux(track.encode(block))
+                if block.pts > (slot + 1) * sound_rate_hz / video.rate_hz:
+                    break
+        for block in blocks:
+            container.mux(track.encode(block))
+        container.mux(picture.encode(None))
+        container.mux(track.encode(None))
+
+
+def _picture_stream(container: av.container.OutputContainer, video: VideoSettings) -> av.VideoStream:
+    rate = Fraction(video.rate_hz).limit_denominator(1001)
+    # one thread: the same bits on every machine, and recordings are written side by side anyway
+    options = {"crf": str(video.crf), "preset": "veryfast", "threads": "1"}
+    stream = container.add_stream("libx264", rate=rate, options=options)
+    stream.width, stream.height, stream.pix_fmt = video.width, video.height, "yuv420p"
+    stream.codec_context.time_base = Fraction(1, 1) / (rate * _TICKS_PER_FRAME)
+    stream.codec_context.thread_count = 1
+    return stream
+
+
+def _sound_stream(container: av.container.OutputContainer, rate_hz: int) -> av.AudioStream:
+    stream = container.add_stream("aac", rate=rate_hz, layout="mono")
+    stream.bit_rate = 160_000
+    return stream
+
+
+def _sound_blocks(sound: NDArray[np.float32], rate_hz: int) -> Iterator[av.AudioFrame]:
+    for first in range(0, len(sound), _AUDIO_BLOCK):
+        block = av.AudioFrame.from_ndarray(
+            sound[None, first : first + _AUDIO_BLOCK].astype(np.float32), format="fltp", layout="mono"
+        )
+        block.sample_rate, block.pts, block.time_base = rate_hz, first, Fraction(1, rate_hz)
+        yield block

@@ -1,0 +1,241 @@
+"""A whole rehearsal on disk: recordings, scan, board and the truth; piece by piece or all at once."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from headcap.artifacts import atomic_path
+from headcap.cameras import Rig
+from headcap.heads.procedural import base_head
+from headcap.meshes.normals import vertex_normals
+from headcap.synthetic import truth
+from headcap.synthetic.board import BoardMotion, BoardPainter, wave_board
+from headcap.synthetic.growth import grow_subject
+from headcap.synthetic.lighting import Lights, illuminate
+from headcap.synthetic.performance import Performance, perform
+from headcap.synthetic.recording import write_recording
+from headcap.synthetic.render import render_surface
+from headcap.synthetic.rig import MOTION_STREAM, Clock, build_clocks, build_rig, random_stream
+from headcap.synthetic.scan import write_scan
+from headcap.synthetic.sensor import build_sensors
+from headcap.synthetic.settings import RehearsalSettings
+from headcap.synthetic.sound import record, take_sources
+from headcap.synthetic.subject import Subject
+
+CALIBRATION = "calibration"
+Progress = Callable[[int, int, str], None]
+"""Called with pieces done, pieces in all, and what was just finished."""
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """Everything that settings decide, before anything is rendered."""
+
+    settings: RehearsalSettings
+    rig: Rig
+    clocks: dict[str, tuple[Clock, ...]]
+    """Per recording (`CALIBRATION` and the takes), per camera."""
+    frames: dict[str, int]
+    """Frame slots of each recording."""
+
+    @property
+    def recordings(self) -> tuple[str, ...]:
+        """`CALIBRATION`, then the takes."""
+        return tuple(self.frames)
+
+    def path(self, recording: str, camera: str) -> Path:
+        """A recording's place inside the rehearsal's folder."""
+        return Path(recording if recording == CALIBRATION else f"takes/{recording}") / f"{camera}.mp4"
+
+
+@lru_cache(maxsize=2)
+def plan(settings: RehearsalSettings) -> Rehearsal:
+    """The rig and the clocks of a rehearsal."""
+    rig = build_rig(settings)
+    durations = {CALIBRATION: settings.board.duration_s} | {take.name: take.duration_s for take in settings.takes}
+    frames = {name: round(duration * settings.video.rate_hz) for name, duration in durations.items()}
+    clocks = {name: build_clocks(settings, k, count, rig.names) for k, (name, count) in enumerate(frames.items())}
+    return Rehearsal(settings, rig, clocks, frames)
+
+
+@lru_cache(maxsize=1)
+def subject_of(settings: RehearsalSettings) -> Subject:
+    """The subject of a rehearsal."""
+    return grow_subject(base_head(), settings.subject, settings.seed)
+
+
+@lru_cache(maxsize=8)
+def performance_of(settings: RehearsalSettings, take: str) -> Performance:
+    """What the subject does in a take."""
+    index = [t.name for t in settings.takes].index(take)
+    chosen = settings.takes[index]
+    end = chosen.duration_s + settings.clock.start_spread_s
+    return perform(random_stream(settings.seed, MOTION_STREAM, index), chosen.kind, end, chosen.intensity)
+
+
+def rehearse(settings: RehearsalSettings, folder: Path | str, *, progress: Progress | None = None, workers: int = 1) -> Rehearsal:
+    """Write a whole rehearsal into `folder`: `calibration/`, `takes/<take>/`, `scan/`, `board.yaml`, `rehearsal.json`, `truth/`.
+
+    `workers` processes render recordings side by side; the files do not depend on their number.
+    """
+    rehearsal, folder = plan(settings), Path(folder)
+    pieces: list[tuple] = [(rehearse_recording, settings, name, c) for name in rehearsal.recordings for c in rehearsal.rig.names]
+    # the longest first, so that workers finish together
+    pieces.sort(key=lambda piece: piece[2] == CALIBRATION)
+    pieces += [(rehearse_truth, settings, take.name) for take in settings.takes] + [(rehearse_scan, settings)]
+    write_description(settings, folder)
+    done = 0
+    for name in _carried_out(pieces, folder, workers):
+        done += 1
+        if progress is not None:
+            progress(done, len(pieces), name)
+    return rehearsal
+
+
+def _carried_out(pieces: list[tuple], folder: Path, workers: int) -> Iterator[str]:
+    if workers <= 1:
+        for function, *arguments in pieces:
+            yield str(function(*arguments, folder))
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(function, *arguments, folder) for function, *arguments in pieces]):
+            yield str(future.result())
+
+
+def rehearse_recording(settings: RehearsalSettings, recording: str, camera: str, folder: Path | str) -> Path:
+    """Render and write one camera's recording of the board (`CALIBRATION`) or of a take; gives its path in the folder."""
+    rehearsal = plan(settings)
+    index, c = rehearsal.recordings.index(recording), rehearsal.rig.names.index(camera)
+    path = rehearsal.path(recording, camera)
+    duration = rehearsal.frames[recording] / settings.video.rate_hz
+    clock = rehearsal.clocks[recording][c]
+    speech, mouth = None, np.zeros(3)
+    if recording != CALIBRATION:
+        speech, mouth = performance_of(settings, recording).speech, subject_of(settings).places.mouth
+    sources = take_sources(settings, index, duration + settings.clock.start_spread_s, speech, mouth)
+    samples = int(duration * settings.sound.rate_hz)
+    sound = record(settings, sources, clock, rehearsal.rig[c].centre, samples, (index, c))
+    frames = _board_frames(rehearsal, c) if recording == CALIBRATION else _take_frames(rehearsal, recording, c)
+    exposed = _exposed(frames, rehearsal, index, c)
+    write_recording(Path(folder) / path, exposed, sound, settings.sound.rate_hz, settings.video)
+    return path
+
+
+def rehearse_truth(settings: RehearsalSettings, take: str, folder: Path | str) -> Path:
+    """Write the truth of one take; gives its path in the folder."""
+    clocks, rate = plan(settings).clocks[take], settings.video.rate_hz
+    truth.write_take_truth(Path(folder) / "truth", take, subject_of(settings), performance_of(settings, take), clocks, rate)
+    return Path("truth") / f"{take}.npz"
+
+
+def rehearse_scan(settings: RehearsalSettings, folder: Path | str) -> Path:
+    """Write the scan, its placement and the subject's topology; gives the scan's path in the folder."""
+    folder, subject = Path(folder), subject_of(settings)
+    write_scan(folder / "scan/neutral.ply", subject, settings.scan, settings.seed)
+    truth.write_topology_truth(folder / "truth", subject)
+    truth.write_scan_truth(folder / "truth", settings)
+    return Path("scan/neutral.ply")
+
+
+def write_description(settings: RehearsalSettings, folder: Path | str) -> None:
+    """Write `board.yaml`, `rehearsal.json` (what a session file needs to know, and the settings) and `truth/rig.json`."""
+    rehearsal, folder, board = plan(settings), Path(folder), settings.board
+    content = {
+        "type": "charuco",
+        "dictionary": board.dictionary,
+        "squares": list(board.squares),
+        "square_size_mm": board.square_size_mm,
+        "marker_size_mm": board.marker_size_mm,
+        "inverted": board.inverted,
+    }
+    with atomic_path(folder / "board.yaml") as temporary:
+        temporary.write_text(yaml.safe_dump(content, sort_keys=False))
+    takes = {take.name: {"kind": take.kind, "frames": rehearsal.frames[take.name]} for take in settings.takes}
+    session = {
+        "rate_hz": settings.video.rate_hz,
+        "size": [settings.video.width, settings.video.height],
+        "cameras": list(rehearsal.rig.names),
+        "board": "board.yaml",
+        "calibration": {c: str(rehearsal.path(CALIBRATION, c)) for c in rehearsal.rig.names},
+        "calibration_frames": rehearsal.frames[CALIBRATION],
+        "takes": {n: t | {"files": {c: str(rehearsal.path(n, c)) for c in rehearsal.rig.names}} for n, t in takes.items()},
+        "scan": {"file": "scan/neutral.ply", "unit_m": settings.scan.unit_m},
+        "clapper_m": list(settings.sound.clap_position_m),
+        "truth": "truth",
+        "settings": settings.model_dump(mode="json"),
+    }
+    with atomic_path(folder / "rehearsal.json") as temporary:
+        temporary.write_text(json.dumps(session, indent=1) + "\n")
+    truth.write_rig_truth(folder / "truth", settings, rehearsal.rig, rehearsal.clocks, rehearsal.frames)
+
+
+def _exposed(
+    frames: Iterator[tuple[int, NDArray]], rehearsal: Rehearsal, recording: int, camera: int
+) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    sensor = build_sensors(rehearsal.settings, len(rehearsal.rig))[camera]
+    for slot, linear in frames:
+        yield slot, sensor.expose(linear, recording, camera, slot)
+
+
+def _bands(settings: RehearsalSettings) -> list[tuple[tuple[int, int], float]]:
+    """Bands of rows and how long after the frame's time they are read out; one band for a global shutter."""
+    sensor, height = settings.sensor, settings.video.height
+    if sensor.rolling_shutter_s == 0:
+        return [((0, height), 0.0)]
+    edges = np.linspace(0, height, sensor.rolling_shutter_bands + 1).astype(int)
+    middle = 0.5 * (edges[:-1] + edges[1:]) / height
+    return [
+        ((int(a), int(b)), float(m) * sensor.rolling_shutter_s) for a, b, m in zip(edges[:-1], edges[1:], middle, strict=True)
+    ]
+
+
+def _frame_times(rehearsal: Rehearsal, recording: str, camera: int) -> Iterator[tuple[int, float]]:
+    clock = rehearsal.clocks[recording][camera]
+    for slot in clock.kept_frames.tolist():
+        yield slot, float(clock.common_time(slot / rehearsal.settings.video.rate_hz))
+
+
+def _background(settings: RehearsalSettings) -> NDArray[np.float32]:
+    """The room, out of focus: linear RGB (height, width, 3), a little brighter towards the floor."""
+    height, width = settings.video.height, settings.video.width
+    down = np.linspace(0.9, 1.1, height, dtype=np.float32)[:, None, None]
+    return settings.sensor.background * down * np.ones((1, width, 3), np.float32)
+
+
+def _board_frames(rehearsal: Rehearsal, c: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    settings = rehearsal.settings
+    waved: BoardMotion = wave_board(settings, rehearsal.rig)
+    painter, background = BoardPainter(rehearsal.rig[c], settings.board), _background(settings)
+    light = Lights.from_settings(settings.lights, settings.ambient, settings.gloss).directions[:1].sum(0)
+    for slot, time in _frame_times(rehearsal, CALIBRATION, c):
+        parts = [
+            painter.paint(waved.world_from_board(time + later), background[a:b], light, (a, b))
+            for (a, b), later in _bands(settings)
+        ]
+        yield slot, np.concatenate(parts)
+
+
+def _take_frames(rehearsal: Rehearsal, take: str, c: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    settings, camera = rehearsal.settings, rehearsal.rig[c]
+    subject, performance, background = subject_of(settings), performance_of(settings, take), _background(settings)
+    lights = Lights.from_settings(settings.lights, settings.ambient, settings.gloss)
+    kind = next(t.kind for t in settings.takes if t.name == take)
+    surface = subject.lips_surface if kind == "lips" else subject.surface
+    for slot, time in _frame_times(rehearsal, take, c):
+        parts = []
+        for (a, b), later in _bands(settings):
+            vertices = subject.vertices(performance.state(time + later))
+            normals = vertex_normals(vertices, surface.triangles)
+            light = illuminate(lights, vertices, normals, subject.openness, subject.occluder, camera.centre)
+            parts.append(render_surface(camera, vertices, surface, light, subject.grain, background[a:b], (a, b)))
+        yield slot, np.concatenate(parts)
