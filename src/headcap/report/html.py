@@ -1,0 +1,182 @@
+"""One page per session: gates, figures, pictures of every stage; self-contained, no script, no network."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+import numpy as np
+from PIL import Image as PillowImage
+
+from headcap.artifacts import atomic_path
+from headcap.evaluation.catalogue import CATALOGUE
+from headcap.evaluation.metrics import Figure
+from headcap.report import figures as diagrams
+from headcap.report import pictures
+from headcap.report.inputs import CalibrationReport, RegisterReport, ReportInputs, TakeReport
+from headcap.report.overlays import jpeg_uri, png_uri
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A picture of the page."""
+
+    uri: str
+    caption: str
+    wide: bool = False
+
+
+def write_report(inputs: ReportInputs, path: Path | str) -> None:
+    """Write the report of a session as one HTML file."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("headcap.report", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["value"] = _value
+    page = environment.get_template("template.html.j2").render(
+        inputs=inputs,
+        rows=_rows(inputs),
+        verdict=_verdict(inputs),
+        expectations=_expectations(inputs.figures),
+        summary=_summary(inputs),
+        calibration=_calibration(inputs.calibration, inputs) if inputs.calibration else None,
+        register=_register(inputs.register, inputs) if inputs.register else None,
+        takes=[(take, _sync(take, inputs), *_take(take, inputs)) for take in inputs.takes],
+        legend=pictures.error_legend_colours(),
+        settings=json.dumps(inputs.settings, indent=2, sort_keys=True, default=str),
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+
+
+def write_summary(inputs: ReportInputs, path: Path | str) -> None:
+    """Write a contact sheet as PNG: photograph, points, mesh and error of the liveliest sampled frame of each take."""
+    views = _liveliest(inputs)
+    if not views:
+        raise ValueError(f"{inputs.session}: no tracked frame was sampled, so there is nothing to show")
+    sheet = pictures.contact_sheet(views, inputs.register.template.triangles)
+    with atomic_path(path) as temporary:
+        PillowImage.fromarray(sheet).save(temporary, "png", optimize=True)
+
+
+def _liveliest(inputs: ReportInputs) -> list:
+    """Per take the sampled view whose mesh differs most from the first one."""
+    if inputs.register is None:
+        return []
+    chosen = []
+    for take in inputs.takes:
+        if take.views:
+            frame = max(take.views, key=lambda view: float(np.abs(view.vertices - take.neutral).mean())).frame
+            chosen.append(next(view for view in take.views if view.frame == frame))
+    return chosen
+
+
+def _rows(inputs: ReportInputs) -> list[tuple[Figure, str, str, bool]]:
+    """(figure, state, meaning, where waived) of each row of the table."""
+    rows = []
+    for figure in inputs.figures:
+        waived = figure.ok is False and figure.name in inputs.allowed
+        state = {True: "good", False: "bad", None: "plain"}[figure.ok]
+        meaning = CATALOGUE[figure.name].meaning if figure.name in CATALOGUE else ""
+        rows.append((figure, state, meaning, waived))
+    return rows
+
+
+def _verdict(inputs: ReportInputs) -> tuple[int, int]:
+    """(figures within their limits, figures past them)."""
+    held = [figure.ok for figure in inputs.figures if figure.ok is not None]
+    return held.count(True), held.count(False)
+
+
+def _value(number: float | None) -> str:
+    if number is None:
+        return "not measured"
+    if number == round(number) and abs(number) < 1e9:
+        return f"{int(number):,}"
+    return f"{number:.4g}"
+
+
+_EXPECTED = (
+    ("reconstruct.error_median_mm", "half of the reconstructed points lie within {} mm of the skin"),
+    ("reconstruct.completeness_1mm", "{} % of the skin that three cameras see has a point within 1 mm"),
+    ("track.surface_error_median_mm", "half of the mesh's vertices lie within {} mm of the skin"),
+    ("track.drift_median_mm", "half of them stay within {} mm of their place on the skin"),
+    ("track.drift_p95_mm", "19 of 20 stay within {} mm of it"),
+    ("track.lip_gap_error_mm", "the opening of the lips is off by {} mm (rms)"),
+    ("calibrate.centre_error_mm", "camera positions are off by {} mm (rms)"),
+    ("sync.offset_error_ms", "start times are off by {} ms (rms)"),
+)
+
+
+def _expectations(figures: tuple[Figure, ...]) -> list[str]:
+    """What the figures against truth say about a rig, the worst take of each."""
+    sentences = []
+    for name, sentence in _EXPECTED:
+        values = [figure.value for figure in figures if figure.name == name and figure.value is not None]
+        if values:
+            sentences.append(sentence.format(_value(min(values) if CATALOGUE[name].at_least else max(values))))
+    return sentences
+
+
+def _summary(inputs: ReportInputs) -> list[_Shown]:
+    views = _liveliest(inputs)[:1]
+    if not views:
+        return []
+    panels = pictures.frame_panels(views[0], inputs.register.template.triangles)
+    return [_Shown(jpeg_uri(panel.image), panel.caption) for panel in panels]
+
+
+def _sync(take: TakeReport, inputs: ReportInputs) -> _Shown:
+    image = diagrams.offsets_diagram(take.offsets, take.true_start_s, inputs.rate_hz)
+    return _Shown(png_uri(image), f"start times of {take.take}", wide=True)
+
+
+def _calibration(calibration: CalibrationReport, inputs: ReportInputs) -> list[_Shown]:
+    clouds = [view.cloud for take in inputs.takes for view in take.views if view.cloud is not None]
+    limit = next((figure.limit for figure in inputs.figures if figure.name == "calibrate.heldout_rms_px"), None)
+    rig = diagrams.rig_diagram(calibration.result.rig, clouds[0].positions if clouds else None)
+    shown = [
+        _Shown(png_uri(rig), "the cameras about the subject", wide=True),
+        _Shown(png_uri(diagrams.heldout_diagram(calibration.result, limit)), "held-out error by camera", wide=True),
+    ]
+    if calibration.detections:
+        image = diagrams.coverage_diagram(calibration.detections)
+        shown.append(_Shown(png_uri(image), "where in each image the board was seen", wide=True))
+    boards = [pictures.board_overlay(picture) for picture in calibration.pictures]
+    return shown + [_Shown(jpeg_uri(board.image), board.caption) for board in boards]
+
+
+def _register(register: RegisterReport, inputs: ReportInputs) -> list[_Shown]:
+    panels = pictures.register_pictures(register)
+    shown = [_Shown(jpeg_uri(panel.image), panel.caption) for panel in panels]
+    if register.error_mm is not None:
+        image = diagrams.error_histogram(register.error_mm, _limits(inputs, "register"), title="Template to scan")
+        shown.append(_Shown(png_uri(image), "template vertices to the scan's surface"))
+    return shown
+
+
+def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], list[_Shown]]:
+    """Rows of frame pictures, and the diagrams over time."""
+    rows, over_time = [], []
+    template = inputs.register.template if inputs.register else None
+    for view in take.views if template else ():
+        panels = pictures.frame_panels(view, template.triangles)
+        close_up = pictures.mouth_close_up(view, template)
+        name = f"frame {view.frame}, {view.camera.name}: "
+        rows.append([_Shown(jpeg_uri(p.image), name + p.caption if i == 0 else p.caption) for i, p in enumerate(panels)])
+        if close_up is not None:
+            rows[-1].append(_Shown(jpeg_uri(close_up.image), close_up.caption, wide=True))
+    if take.errors is not None and template is not None:
+        over_time.append(_Shown(png_uri(diagrams.error_curves(take.errors, _limits(inputs, "track"))), "over time", wide=True))
+        maps = pictures.error_over_time(take.errors, take.neutral, template.triangles)
+        over_time += [_Shown(jpeg_uri(panel.image), panel.caption) for panel in maps]
+    if take.gaps is not None:
+        over_time.append(_Shown(png_uri(diagrams.gap_curves(take.gaps)), "without truth: points against the mesh", wide=True))
+    return rows, over_time
+
+
+def _limits(inputs: ReportInputs, stage: str) -> dict[str, float | None]:
+    return {
+        figure.name: figure.limit for figure in inputs.figures if figure.name.startswith(f"{stage}.error") or stage == "track"
+    }
