@@ -42,6 +42,8 @@ def arguments(run: Callable[..., None], snakemake) -> dict:
     hints = typing.get_type_hints(run)
     given = {**_paths(snakemake.input), **_paths(snakemake.output)}
     given |= {name: value for name, value in snakemake.params.items() if name not in _TRIGGERS}
+    if "threads" in hints:
+        given["threads"] = snakemake.threads
     missing = set(inspect.signature(run).parameters) ^ set(given)
     if missing:
         raise TypeError(f"{run.__module__}.run and its rule do not agree on {sorted(missing)}")

@@ -16,6 +16,8 @@ from headcap.sync import TimeOffsets
 from headcap.sync.timeline import TakeTimeline, open_take
 
 PROGRESS = logging.getLogger("headcap.progress")
+# towards a take's end cameras that started early have stopped; the tracker then goes on without a cloud
+LEAST_CAMERAS = 3
 
 
 def run(
@@ -34,10 +36,13 @@ def run(
 ) -> None:
     calibrated = CalibrationResult.load(rig).rig
     part = TakeTimeline.load(timeline).part(*chunk)
-    files, counts = [], []
+    done, counts = [], []
     with open_take(IngestedTake.load(ingested), TimeOffsets.load(offsets)) as take:
         for frame, time_s in zip(part.frames.tolist(), part.time_s.tolist(), strict=True):
             images = take.images_at(time_s)
+            if len(images) < LEAST_CAMERAS:
+                PROGRESS.info("reconstruct %s frame %d: only %d cameras saw it", part.take, frame, len(images))
+                continue
             cloud = reconstruct_frame(
                 calibrated.only(images),
                 list(images.values()),
@@ -45,16 +50,17 @@ def run(
                 settings=settings,
                 masks=read_silhouettes(masks, frame, list(images)) if masks else None,
             )
-            files.append(cloud_file(clouds.parent, frame))
-            cloud.save(files[-1])
+            file = cloud_file(clouds.parent, frame)
+            cloud.save(file)
+            done.append((frame, time_s, file))
             counts.append(len(cloud))
             PROGRESS.info("reconstruct %s frame %d: %d points", part.take, frame, len(cloud))
-    figures = {"reconstruct.points": median(counts)}
+    figures = {"reconstruct.points": median(counts)} if counts else {}
     enforce(
         judge(figures, limits, allow),
         f"{part.take}, frames {part.frames[0]} to {part.frames[-1]}: check exposure and focus of the recordings.",
     )
-    CloudSequence(part.take, tuple(part.frames.tolist()), tuple(files)).save(clouds)
+    CloudSequence.of(part.take, done).save(clouds)
     write_manifest(
         clouds,
         kind="cloud_sequence",

@@ -15,6 +15,8 @@ rule rehearse:
         "results/{session}/logs/rehearse.log",
     benchmark:
         "results/{session}/benchmarks/rehearse.tsv"
+    # the one stage that is no job per camera or chunk: it renders its pieces side by side itself
+    threads: workflow.cores
     resources:
         mem_mb=2500,
     params:

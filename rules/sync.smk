@@ -1,14 +1,13 @@
 """
 Brings the recordings of a take onto one clock. The board's recordings come first, by sound alone; calibrate then finds
-where the cameras are and when they fired, which yields each camera's own lag of sound behind picture; with both, the
-takes are synchronised.
+where the cameras are and when they fired, which yields
+the clapper's place and each camera's own lag of sound behind picture; with them the takes are synchronised.
 
 INPUTS:   ingested = results/{session}/ingest/{take}.json
           rig      = results/{session}/calibrate/rig.json
-          lags     = results/{session}/sync/board/lags.json
+          clapper  = results/{session}/sync/board/clapper.json
 OUTPUTS:  offsets  = results/{session}/sync/{take}.json
           timeline = results/{session}/sync/{take}.timeline.json
-          figure   = results/{session}/sync/{take}.png
 """
 
 
@@ -26,34 +25,33 @@ rule sync_board:
         mem_mb=1000,
     params:
         manual_s=setting("calibration", "offsets_s"),
-        clap=setting("calibration", "clap"),
         settings=setting("sync"),
         source=source("sync_board"),
     script:
         "../pipeline/sync_board.py"
 
 
-rule sound_lags:
-    """Lag of each camera's sound behind its picture: the board's sound against the board's motion."""
+rule place_clapper:
+    """The clapper's place, and each camera's lag of sound behind picture: the board's sound against its motion."""
     input:
         ingested="results/{session}/ingest/calibration.json",
         rig="results/{session}/calibrate/rig.json",
         timing="results/{session}/calibrate/timing.json",
     output:
-        lags="results/{session}/sync/board/lags.json",
+        clapper="results/{session}/sync/board/clapper.json",
     log:
-        "results/{session}/logs/sync/lags.log",
+        "results/{session}/logs/sync/clapper.log",
     benchmark:
-        "results/{session}/benchmarks/sync/lags.tsv"
+        "results/{session}/benchmarks/sync/clapper.tsv"
     resources:
         mem_mb=1000,
     params:
         clap=setting("calibration", "clap"),
         clapper_m=setting("clapper_m"),
         settings=setting("sync"),
-        source=source("sound_lags"),
+        source=source("place_clapper"),
     script:
-        "../pipeline/sound_lags.py"
+        "../pipeline/place_clapper.py"
 
 
 checkpoint sync:
@@ -61,11 +59,10 @@ checkpoint sync:
     input:
         ingested="results/{session}/ingest/{take}.json",
         rig="results/{session}/calibrate/rig.json",
-        lags="results/{session}/sync/board/lags.json",
+        clapper="results/{session}/sync/board/clapper.json",
     output:
         offsets="results/{session}/sync/{take}.json",
         timeline="results/{session}/sync/{take}.timeline.json",
-        figure="results/{session}/sync/{take}.png",
     log:
         "results/{session}/logs/sync/{take}.log",
     benchmark:

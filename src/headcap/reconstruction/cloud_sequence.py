@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +19,17 @@ class CloudSequence:
 
     take: str
     frames: tuple[int, ...]
-    """Frame numbers of the take."""
+    """Frame numbers of the take; a frame that too few cameras saw is left out."""
+    time_s: tuple[float, ...]
+    """Their moments on the common clock."""
     files: tuple[Path, ...]
     """PLY files, frame by frame."""
+
+    @classmethod
+    def of(cls, take: str, clouds: Iterable[tuple[int, float, Path]]) -> CloudSequence:
+        """From frame, moment and file of each cloud."""
+        clouds = list(clouds)
+        return cls(take, *(tuple(cloud[k] for cloud in clouds) for k in range(3)))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -32,6 +40,11 @@ class CloudSequence:
             raise KeyError(f"{self.take} has no cloud of frame {frame}")
         return PointCloud.load(self.files[self.frames.index(frame)])
 
+    def at(self, time_s: float) -> PointCloud | None:
+        """The cloud of a moment, or None where that frame has none."""
+        match = [k for k, time in enumerate(self.time_s) if abs(time - time_s) < 1e-6]
+        return PointCloud.load(self.files[match[0]]) if match else None
+
     def __iter__(self) -> Iterator[PointCloud]:
         return map(PointCloud.load, self.files)
 
@@ -39,8 +52,8 @@ class CloudSequence:
         """Write the JSON artifact `headcap.cloud_sequence/1` with the digest of each file."""
         folder = Path(path).parent
         clouds = [
-            {"frame": frame, "file": os.path.relpath(file, folder), "digest": digest_file(file)}
-            for frame, file in zip(self.frames, self.files, strict=True)
+            {"frame": frame, "time_s": time, "file": os.path.relpath(file, folder), "digest": digest_file(file)}
+            for frame, time, file in zip(self.frames, self.time_s, self.files, strict=True)
         ]
         save_json(path, KIND, SCHEMA, {"take": self.take, "clouds": clouds})
 
@@ -53,9 +66,8 @@ class CloudSequence:
             if take and content["take"] != take:
                 raise ArtifactError(f"{path} is of {content['take']}, not of {take}; give lists of one take")
             take = content["take"]
-            clouds += [(cloud["frame"], _checked(Path(path), cloud)) for cloud in content["clouds"]]
-        clouds.sort()
-        return cls(take, tuple(frame for frame, _ in clouds), tuple(file for _, file in clouds))
+            clouds += [(cloud["frame"], cloud["time_s"], _checked(Path(path), cloud)) for cloud in content["clouds"]]
+        return cls.of(take, sorted(clouds))
 
 
 def _checked(listing: Path, cloud: dict) -> Path:

@@ -59,18 +59,20 @@ def open_take(take: IngestedTake, offsets: TimeOffsets, settings: FrameSettings 
 def make_timeline(
     take: IngestedTake, offsets: TimeOffsets, *, frames: tuple[int, int] | None = None, min_cameras: int = 3
 ) -> TakeTimeline:
-    """The frames asked for, first and last; by default all up to the last that `min_cameras` cameras cover.
+    """The frames asked for, first and last; by default all up to the last that `min_cameras` cameras photographed.
 
-    Raises `InputError` where frames are asked for that too few cameras recorded.
+    A camera photographed a frame where it has a picture within one frame interval of it. Raises `InputError` where frames are asked for that too few cameras recorded.
     """
     with open_take(take, offsets) as opened:
         timeline = opened.timeline()
-        covered = [sum(opened.covers(camera, time) for camera in opened.cameras) >= min_cameras for time in timeline.time_s]
-    count = int(np.argmin(covered)) if not all(covered) else len(covered)
+        step_s = {recording.camera: 1 / recording.rate_hz for recording in take.recordings}
+        near = [np.abs(timeline.time_s[:, None] - opened.times_s(c)).min(1) <= step_s[c] for c in opened.cameras]
+        covered = np.sum(near, axis=0) >= min_cameras
+    count = int(np.argmin(covered)) if not covered.all() else len(covered)
     first, last = frames or (0, count - 1)
     if last >= count or count == 0:
         raise InputError(
-            f"{take.take}: frames {first} to {last} asked for, but only {count} are covered by {min_cameras} cameras",
+            f"{take.take}: frames {first} to {last} asked for, but only {count} were photographed by {min_cameras} cameras",
             expected=f"frames within 0 to {count - 1} of {timeline.reference_camera}, the camera that started last",
             remedy="Correct the take's frames in the session file, or its offsets if the recordings do overlap",
         )
