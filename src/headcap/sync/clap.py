@@ -8,8 +8,11 @@ from scipy.signal import butter, sosfilt
 
 from headcap.sync.settings import SyncSettings
 
-# ten decibels per decade of energy; stronger jumps say no more about the event, only about the noise before it
+# stronger jumps say no more about the event, only about how silent it was before
 STRONGEST_DB = 40.0
+# a clap is at its strongest within this time, and its beginning this share (in dB) as strong
+RISE_S = 0.010
+RISE_SHARE = 0.4
 
 
 @dataclass(frozen=True)
@@ -22,7 +25,7 @@ class Onset:
 
 
 def onset_strength_db(samples: NDArray, rate_hz: int, settings: SyncSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Energy jump at each sample (n,) in dB, 0 to 40, and the energy behind it (n,), both above `highpass_hz`.
+    """Energy jump at each sample (n,) in dB, at least 0, and the energy behind it (n,), both above `highpass_hz`.
 
     Where less than `min_background_s` of sound lies before a sample the jump is 0: a recording may begin in a sound.
     """
@@ -36,7 +39,7 @@ def onset_strength_db(samples: NDArray, rate_hz: int, settings: SyncSettings) ->
     before = (total[n] - total[begin]) / np.maximum(n - begin, 1)
     # 90 dB under the loudest counts as silence, so that digital zeros do not make every tick a clap
     floor = max(float(behind.max(initial=0.0)) * 1e-9, 1e-16)
-    jump_db = np.clip(10 * np.log10((behind + floor) / (np.maximum(before, 0) + floor)), 0.0, None)
+    jump_db = np.maximum(10 * np.log10((behind + floor) / (np.maximum(before, 0) + floor)), 0.0)
     jump_db[: min(round(settings.min_background_s * rate_hz), len(jump_db))] = 0.0
     return jump_db, behind
 
@@ -55,5 +58,15 @@ def find_claps(samples: NDArray, rate_hz: int, start_s: float, settings: SyncSet
     for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > hold) + 1):
         if len(group):
             best = group[np.argmax(jump_db[group])]
-            found.append(Onset(start_s + best / rate_hz, min(float(jump_db[best]), STRONGEST_DB)))
+            first = _rise(jump_db, int(best), rate_hz, settings)
+            found.append(Onset(float(start_s + first / rate_hz), min(float(jump_db[best]), STRONGEST_DB)))
     return tuple(found)
+
+
+def _rise(jump_db: NDArray, peak: int, rate_hz: int, settings: SyncSettings) -> int:
+    """Sample at which the sound that peaks in `jump_db` begins: some claps come with a weaker touch just before."""
+    begin = max(peak - round(RISE_S * rate_hz), 0)
+    enough = max(settings.onset_jump_db, RISE_SHARE * float(jump_db[peak]))
+    first = begin + int(np.argmax(jump_db[begin : peak + 1] >= enough))
+    # the energy behind a sample reaches `attack_s` ahead, so the jump is seen that much before the sound
+    return min(first + round(settings.attack_s * rate_hz), peak)

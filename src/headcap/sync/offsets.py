@@ -23,7 +23,7 @@ class TimeOffsets:
     confidence: tuple[float, ...]
     """0 to 1 per camera."""
     method: tuple[str, ...]
-    """Per camera: clap, manual or none."""
+    """Per camera: clap, sound (of the whole recording), manual or none."""
 
     def common_time(self, camera: str, own_time_s: NDArray) -> NDArray:
         """Presentation times of one camera to the common clock, seconds."""
