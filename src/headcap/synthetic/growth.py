@@ -23,6 +23,7 @@ from headcap.synthetic.texture import EYE, LOOK_COLUMNS, MOUTH, SKIN, make_grain
 
 _FOLD = (0.95, 0.86)
 """The lids' edge is folded in to these shares of its distance from the eye's centre, which closes the gap to the eyeball."""
+_LEAST_OPENNESS = 0.12
 _EYE_SHARE = 0.965
 """The eyeball is this much smaller than the sphere the lids were modelled on: their thickness."""
 
@@ -77,7 +78,7 @@ def _assemble(
     )
     skin = np.arange(len(points)) < n
     face_skin = skin & ~np.pad(in_mouth, (0, 2 * len(ball)), constant_values=True)
-    lids = tuple(motion.build_lids(points, skin, rim, centre) for rim, centre in zip(rims, centres, strict=True))
+    lids = tuple(motion.build_lids(points, skin, rim, centre, radius) for rim, centre in zip(rims, centres, strict=True))
     near_mouth = np.linalg.norm(points - places.mouth, axis=1) < 0.08
     moving_jaw = (fields.jaw > 1e-3) | (fields.upper_lip > 1e-3)
     outside = (material == SKIN) | ((material == EYE) & (points[triangles].mean(1)[:, 2] > places.eye_left[2]))
@@ -99,7 +100,8 @@ def _lit(subject: Subject) -> Subject:
     """The subject with the sky that each of its vertices sees."""
     rest = subject.vertices(AT_REST)
     normals = vertex_normals(rest, subject.surface.triangles)
-    return replace(subject, openness=openness(rest, normals, subject.occluder))
+    # what is shut away at rest, the mouth and the eyeballs' backs, sees something of the room once it opens
+    return replace(subject, openness=np.maximum(openness(rest, normals, subject.occluder), _LEAST_OPENNESS))
 
 
 def _throat_place(points_m: NDArray, places: Places) -> NDArray[np.float64]:

@@ -17,6 +17,9 @@ from headcap.synthetic.anatomy import Fields, Places
 JAW_RAD, JAW_FORWARD_M, JAW_SIDE_M = 0.29, 0.006, 0.004
 _CURVATURE_M = 0.045
 """Radius of the arcs along which skin slides over the skull."""
+_LID_REACH_M = 0.009
+"""Lids fold within this distance of their edge."""
+_LID_THICKNESS_M = 0.0003
 _NECK_JOINTS = 7
 
 
@@ -100,45 +103,47 @@ class Lids:
     vertices: NDArray[np.int64]
     closing_rad: NDArray[np.float64]
     """(k,) downward turn of each vertex when the eye is shut (upward where negative)."""
+    keep_off_m: NDArray[np.float64]
+    """(k,) least distance from the centre: the eyeball holds the lids off; 0 for the lids' inner edge."""
 
     def apply(self, points: NDArray, shut: float) -> None:
-        """Turn the lids' points (n, 3) in place."""
+        """Turn the lids' points (n, 3) in place and lay them on the eyeball where they would sink in."""
         away = points[self.vertices] - self.centre
         angle = shut * self.closing_rad
         c, s = np.cos(angle), np.sin(angle)
         y, z = away[:, 1].copy(), away[:, 2].copy()
         away[:, 1], away[:, 2] = c * y - s * z, s * y + c * z
-        points[self.vertices] = self.centre + away
+        distance = np.sqrt((away**2).sum(1))
+        points[self.vertices] = self.centre + away * np.maximum(self.keep_off_m / distance, 1)[:, None]
 
 
-def build_lids(points: NDArray, skin: NDArray, rim: NDArray, centre: NDArray) -> Lids:
-    """Lids of the eye whose opening is bounded by the vertices `rim` (k,)."""
-    azimuth, elevation = _directions(points[rim] - centre)
-    upper = _envelope(azimuth, elevation, 1)
-    lower = _envelope(azimuth, elevation, -1)
-    chosen = np.flatnonzero(skin & (np.linalg.norm(points - centre, axis=1) < 0.024) & (points[:, 2] > centre[2]))
-    a, e = _directions(points[chosen] - centre)
-    top, bottom = np.interp(a, *upper), np.interp(a, *lower)
-    gap = np.clip(top - bottom, 0, None)
-    above = np.clip(1 - (e - top) / np.radians(42), 0, 1)
-    below = np.clip(1 - (bottom - e) / np.radians(40), 0, 1)
-    ease_above, ease_below = above**2 * (3 - 2 * above), below**2 * (3 - 2 * below)
-    closing = np.where(e > 0.5 * (top + bottom), 0.86 * gap * ease_above, -0.16 * gap * ease_below)
-    beyond = np.clip((np.abs(a - 0.5 * (upper[0][0] + upper[0][-1])) - 0.5 * np.ptp(upper[0])) / 0.2, 0, 1)
+def build_lids(points: NDArray, skin: NDArray, rim: NDArray, centre: NDArray, ball_radius_m: float) -> Lids:
+    """Lids of the eye whose opening is bounded by the vertices `rim` (k,), in front of a ball."""
+    edge = points[rim] - centre
+    upper, lower = _envelope(edge, 1), _envelope(edge, -1)
+    chosen = np.flatnonzero(skin & (np.linalg.norm(points - centre, axis=1) < 0.03) & (points[:, 2] > centre[2] + 0.001))
+    x, y = (points[chosen] - centre)[:, :2].T
+    top, bottom = np.interp(x, *upper), np.interp(x, *lower)
+    radius = np.linalg.norm(edge, axis=1).mean()
+    # the circle on which a point of the lid runs; flatter towards the corners
+    circle = np.sqrt(np.maximum(radius**2 - x**2, (0.45 * radius) ** 2))
+    gap = np.arcsin(np.clip(top / circle, -1, 1)) - np.arcsin(np.clip(bottom / circle, -1, 1))
+    above = np.clip(1 - (y - top) / _LID_REACH_M, 0, 1)
+    below = np.clip(1 - (bottom - y) / _LID_REACH_M, 0, 1)
+    closing = np.where(y > 0.5 * (top + bottom), 0.84 * gap * above**2 * (3 - 2 * above), -0.13 * gap * below**2 * (3 - 2 * below))
     # a positive turn about x carries the front of the eye downwards
-    return Lids(centre, chosen, closing * (1 - beyond))
+    held_off = ball_radius_m + _LID_THICKNESS_M
+    distance = np.linalg.norm(points[chosen] - centre, axis=1)
+    return Lids(centre, chosen, closing, np.where(distance > held_off, held_off, 0.0))
 
 
-def _directions(away: NDArray) -> tuple[NDArray, NDArray]:
-    return np.arctan2(away[:, 0], away[:, 2]), np.arctan2(away[:, 1], away[:, 2])
-
-
-def _envelope(azimuth: NDArray, elevation: NDArray, side: int) -> tuple[NDArray, NDArray]:
-    left, right = np.argmin(azimuth), np.argmax(azimuth)
-    straight = np.interp(azimuth, [azimuth[left], azimuth[right]], [elevation[left], elevation[right]])
-    of_side = (elevation - straight) * side >= -1e-9
-    order = np.argsort(azimuth[of_side])
-    return azimuth[of_side][order], elevation[of_side][order]
+def _envelope(edge: NDArray, side: int) -> tuple[NDArray, NDArray]:
+    """The upper (side 1) or lower (-1) line of a closed rim as x rising and y."""
+    right, left = np.argmin(edge[:, 0]), np.argmax(edge[:, 0])
+    straight = np.interp(edge[:, 0], edge[[right, left], 0], edge[[right, left], 1])
+    of_side = (edge[:, 1] - straight) * side >= -1e-12
+    order = np.argsort(edge[of_side, 0])
+    return edge[of_side][order, 0], edge[of_side][order, 1]
 
 
 def move_lips(points: NDArray, zone: NDArray, fields: Fields, places: Places, state: dict[str, float]) -> None:

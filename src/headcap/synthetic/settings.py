@@ -19,7 +19,7 @@ class CameraSettings(_Settings):
 
     name: str = Field(description="Name of the camera and of its files.")
     position_m: Vector = Field(description="Optical centre, metres, world of the subject (y up, z out of the face).")
-    look_at_m: Vector = Field(default=(0.0, -0.03, 0.02), description="Point on the optical axis, metres.")
+    look_at_m: Vector = Field(default=(0.0, -0.045, 0.015), description="Point on the optical axis, metres.")
     roll_deg: float = Field(default=0.0, description="Turn about the optical axis.")
     vertical_fov_deg: float = Field(default=30.0, gt=1, lt=150, description="Field of view along the image's height.")
     principal_point_offset_px: tuple[float, float] = Field(default=(0.0, 0.0), description="From the image's centre.")
@@ -35,10 +35,10 @@ class ArcSettings(_Settings):
     rows_deg: tuple[float, ...] = Field(default=(-17.0, 15.0), min_length=1, description="Elevation of each row.")
     half_angle_deg: float = Field(default=76.0, gt=0, le=180, description="Azimuth of the outermost cameras.")
     distance_m: float = Field(default=0.76, gt=0.1, description="From the target to the cameras.")
-    target_m: Vector = Field(default=(0.0, -0.03, 0.02), description="What the cameras look at, metres.")
-    vertical_fov_deg: float = Field(default=32.0, gt=1, lt=150, description="Field of view along the image's height.")
+    target_m: Vector = Field(default=(0.0, -0.045, 0.015), description="What the cameras look at, metres.")
+    vertical_fov_deg: float = Field(default=33.0, gt=1, lt=150, description="Field of view along the image's height.")
     placement_sigma_m: float = Field(default=0.02, ge=0, description="Random shift of each camera.")
-    aim_sigma_deg: float = Field(default=1.5, ge=0, description="Random turn of each camera, about each axis.")
+    aim_sigma_deg: float = Field(default=0.6, ge=0, description="Random turn of each camera, about each axis.")
     fov_sigma: float = Field(default=0.015, ge=0, description="Relative spread of focal lengths.")
     principal_point_sigma_px: float = Field(default=4.0, ge=0, description="Spread of principal points.")
     distortion: tuple[float, float, float, float, float] = Field(

@@ -108,10 +108,10 @@ def albedo(material, x, y, z, tattoo, lips, tone, freckles, coarse, fine, footpr
     if material == 2:
         shade = np.float32(1.0) + np.float32(0.10) * grain
         return np.float32(0.30) * shade, np.float32(0.09) * shade, np.float32(0.08) * shade
-    shade = np.float32(1.0) + tone * np.float32(0.05) - (np.float32(0.018) + np.float32(0.075) * freckles) * grain
+    shade = np.float32(1.0) + tone * np.float32(0.03) - (np.float32(0.018) + np.float32(0.075) * freckles) * grain
     r, g, b = np.float32(0.60) * shade, np.float32(0.37) * shade, np.float32(0.28) * shade
-    r *= np.float32(1.0) + np.float32(0.02) * tone
-    g *= np.float32(1.0) - np.float32(0.03) * tone
+    g *= np.float32(1.0) - np.float32(0.018) * tone
+    b *= np.float32(1.0) - np.float32(0.014) * tone
     if lips > 0:
         lines = np.float32(1.0) + np.float32(0.10) * grain
         r += lips * (np.float32(0.47) * lines - r)
