@@ -107,6 +107,9 @@ class BoardDetector:
         view = self._charuco_view(small) if self._charuco else self._chessboard_view(small)
         if len(view.corner) < self.settings.min_corners or _is_line(self.board.corners[view.corner]):
             return _EMPTY
+        view = _without_strays(view, self.board)
+        if len(view.corner) < self.settings.min_corners or _is_line(self.board.corners[view.corner]):
+            return _EMPTY
         # cv2.resize maps the pixel centre x to (x + 0.5) * scale - 0.5
         view = BoardView(view.corner, (view.pixels + 0.5) / scale - 0.5)
         return BoardView(view.corner, refine_corners(image, view, self.board)[0])
@@ -124,6 +127,22 @@ class BoardDetector:
             return _EMPTY
         grid = np.array(pixels, float).reshape(rows, columns, 2)
         return BoardView(np.arange(rows * columns), _oriented(grid, image).reshape(-1, 2))
+
+
+def _without_strays(view: BoardView, board: BoardSettings) -> BoardView:
+    """Leave out corners that lie off the plane's perspective image (RANSAC) by much more than the others.
+
+    Lens distortion bends the board a little everywhere; a corner set on a marker or on its neighbour stands out.
+    """
+    squares = board.corners[view.corner, :2] / (board.square_size_mm * 1e-3)
+    cv2.setRNGSeed(0)
+    board_from_image, _ = cv2.findHomography(view.pixels, squares, cv2.RANSAC, 0.1)
+    if board_from_image is None:
+        return _EMPTY
+    mapped = cv2.perspectiveTransform(view.pixels.reshape(-1, 1, 2), board_from_image).reshape(-1, 2)
+    off = np.linalg.norm(mapped - squares, axis=1)
+    keep = off < max(0.06, 5 * float(np.median(off)))
+    return BoardView(view.corner[keep], view.pixels[keep])
 
 
 _EMPTY = BoardView(np.empty(0, np.int64), np.empty((0, 2)))
@@ -238,7 +257,7 @@ def detect_recording(
 
     `start_s` is the common time of presentation time zero as far as known: with it all cameras search the same moments.
     `times_s` replaces the presentation times by frame number. A slowly moving corner is averaged over three frames and gets
-    its velocity from them; elsewhere the velocity comes from neighbouring sightings. Raises `InputError` if another board
+    its velocity from them; elsewhere it comes from the sightings one frame away, if they were searched. Raises `InputError` if another board
     than described is seen.
     """
     settings = settings or DetectSettings()
@@ -314,10 +333,13 @@ def _packed(camera: str, size: tuple[int, int], searched: int, sightings: list[_
 
 
 def _velocity_between(sightings: list[_Sighting], index: int) -> Array:
-    """Velocity from the sightings before and after (within 0.5 s); NaN for corners that they do not share."""
+    """Velocity from the sightings one frame before and after; NaN for corners that they do not share.
+
+    Sightings further apart tell nothing: a board may have gone and come back in between.
+    """
     now = sightings[index]
     out = np.full(now.view.pixels.shape, np.nan)
-    near = [s for s in sightings[max(0, index - 1) : index + 2] if abs(s.time_s - now.time_s) < 0.5]
+    near = [s for s in sightings[max(0, index - 1) : index + 2] if abs(s.frame - now.frame) <= 1]
     if len(near) < 2:
         return out
     first, last = near[0], near[-1]

@@ -48,6 +48,8 @@ def group_poses(detections: Mapping[str, CameraDetections], offsets: TimeOffsets
     free = np.ones(len(candidates), bool)
     poses = []
     for centre in _moments(candidates, times, settings):
+        if any(abs(pose.time_s - centre) < 1.5 * settings.window_s for pose in poses):
+            continue
         near = np.flatnonzero(free & (np.abs(times - centre) <= settings.window_s))
         members = [candidates[i] for i in near]
         chosen = _best_per_camera(members, centre, settings)
