@@ -1,6 +1,7 @@
 """Normals of triangle meshes."""
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 
@@ -10,9 +11,21 @@ def triangle_normals(vertices: NDArray, triangles: NDArray) -> NDArray:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def vertex_normals(vertices: NDArray, triangles: NDArray) -> NDArray:
+def vertex_normals(vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     """Unit vertex normals (n, 3), area-weighted; zero where a vertex has no triangle."""
-    weighted = triangle_normals(vertices, triangles)
-    sums = np.stack([np.bincount(triangles.ravel(), np.repeat(weighted[:, axis], 3), len(vertices)) for axis in range(3)], axis=1)
-    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    sums = np.zeros((len(vertices), 3))
+    _sum_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int32), sums)
+    length = np.sqrt((sums**2).sum(1, keepdims=True))
     return sums / np.where(length > 0, length, 1.0)
+
+
+@njit(cache=True)
+def _sum_normals(vertices, triangles, sums):
+    for a, b, c in triangles:
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for corner in (a, b, c):
+            sums[corner, 0] += nx
+            sums[corner, 1] += ny
+            sums[corner, 2] += nz

@@ -89,10 +89,11 @@ def solve_fields(head: Template, places: Places) -> Fields:
     """Harmonic fields between places that surely belong to a part and places that surely do not."""
     v, regions = head.vertices, head.regions
     laplacian = cotangent_laplacian(v, head.triangles, least_weight=1e-4)
+    smoother = Factor(sparse.eye_array(len(v)) + 4.0 * laplacian)
     skull = regions["scalp"] | regions["ears"] | (v[:, 1] > places.mouth[1] + 0.005) & (v[:, 1] > places.hinge[1] - 0.03)
     lower_face = (v[:, 1] > places.chin[1] - 0.004) & (v[:, 2] > places.hinge[2] + 0.02)
     cut = v[:, 1] < v[:, 1].min() + 0.012
-    neck = harmonic(laplacian, skull | lower_face, cut)
+    neck = _harmonic(laplacian, smoother, skull | lower_face, cut)
     jaw_bone = lower_face & (_hinge_angle(v, places) < _hinge_angle(places.mouth[None], places)[0] - np.radians(9))
     lower_lip = regions["lips_lower"] | regions["lips_inner_lower"]
     upper_lip = regions["lips_upper"] | regions["lips_inner_upper"]
@@ -100,10 +101,10 @@ def solve_fields(head: Template, places: Places) -> Fields:
     upper_face = (
         skull & (v[:, 1] > places.mouth[1] + 0.022) | (v[:, 1] < places.larynx[1] + 0.016) | (v[:, 2] < places.hinge[2] - 0.01)
     )
-    jaw = harmonic(laplacian, (jaw_bone | lower_lip) & ~corner & ~upper_face, (upper_face | upper_lip) & ~corner)
+    jaw = _harmonic(laplacian, smoother, (jaw_bone | lower_lip) & ~corner & ~upper_face, (upper_face | upper_lip) & ~corner)
     far = np.linalg.norm(v - places.mouth, axis=1) > 0.048
-    upper = harmonic(laplacian, upper_lip & ~corner, far | lower_lip & ~corner)
-    lower = harmonic(laplacian, lower_lip & ~corner, far | upper_lip & ~corner)
+    upper = _harmonic(laplacian, smoother, upper_lip & ~corner, far | lower_lip & ~corner)
+    lower = _harmonic(laplacian, smoother, lower_lip & ~corner, far | upper_lip & ~corner)
     return Fields(neck, jaw, upper, lower)
 
 
@@ -112,11 +113,9 @@ def _hinge_angle(points: NDArray, places: Places) -> NDArray:
     return np.arctan2(points[:, 1] - places.hinge[1], points[:, 2] - places.hinge[2])
 
 
-def harmonic(laplacian: sparse.csr_array, ones: NDArray, zeros: NDArray) -> NDArray[np.float64]:
+def _harmonic(laplacian: sparse.csr_array, smoother: Factor, ones: NDArray, zeros: NDArray) -> NDArray[np.float64]:
     """The field (n,) that is 1 and 0 where told (1 wins) and smooth between: soft constraints round off the transitions."""
-    n = laplacian.shape[0]
     hold = 3.0 * (ones | zeros)
-    matrix = laplacian + sparse.diags_array(hold + 1e-7)
-    field = Factor(matrix).solve(hold * ones)
+    field = Factor(laplacian + sparse.diags_array(hold + 1e-7)).solve(hold * ones)
     # one more step of diffusion takes the crease out of the constraints' rim
-    return np.clip(Factor(sparse.identity(n) + 4.0 * laplacian).solve(field), 0, 1)
+    return np.clip(smoother.solve(field), 0, 1)

@@ -169,7 +169,7 @@ def _fine_grid(ideal: NDArray, coarse_x: NDArray, coarse_y: NDArray, across: NDA
     return np.stack([spline(down, across) for spline in splines], axis=-1).astype(np.float32)
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _paint(rays, plane, pattern, texels_per_m, margin, shade, facing, first_row, box, picture):
     rows, columns = pattern.shape
     samples = _SAMPLES * _SAMPLES

@@ -9,7 +9,6 @@ from scipy import sparse
 from headcap.meshes.laplacian import Factor, bilaplacian, uniform_laplacian
 from headcap.meshes.normals import vertex_normals
 from headcap.synthetic.anatomy import Places
-from headcap.synthetic.larynx import throat_frame
 from headcap.synthetic.texture import smooth_noise
 
 
@@ -37,10 +36,12 @@ def vary(points_m: NDArray, random: np.random.Generator, strength: float) -> NDA
 
 def bare_throat(points_m: NDArray, triangles: NDArray, places: Places, radius_m: float = 0.034) -> NDArray[np.float64]:
     """Points (n, 3) with any larynx bump taken off: the throat becomes the thin plate that its surroundings span."""
-    hold = 1e3 * (np.linalg.norm(points_m - places.larynx, axis=1) > radius_m)
-    laplacian = uniform_laplacian(triangles, len(points_m))
-    matrix = bilaplacian(laplacian) + sparse.diags_array(hold + 1e-9)
-    return Factor(matrix).solve(hold[:, None] * points_m)
+    free = np.linalg.norm(points_m - places.larynx, axis=1) < radius_m
+    energy = bilaplacian(uniform_laplacian(triangles, len(points_m)))
+    inside = energy[free][:, free] + 1e-12 * sparse.eye_array(int(free.sum()))
+    out = points_m.copy()
+    out[free] = Factor(inside).solve(-energy[free][:, ~free] @ points_m[~free])
+    return out
 
 
 def add_detail(
@@ -77,14 +78,13 @@ def tattoo_lips(look: NDArray, points_m: NDArray, regions: dict[str, NDArray], p
 
 
 def _tattooed(points_m: NDArray, regions: dict[str, NDArray], places: Places) -> NDArray[np.float64]:
-    _, upward = throat_frame(points_m, places)
     low = places.chin[1] - 0.022
     # the border between neck and jaw climbs towards the ears
     climb = low + 0.42 * np.clip(places.chin[2] - points_m[:, 2], 0, 0.09)
     neck = _plateau((climb - points_m[:, 1]) / 0.006 + 0.5, 1.0)
     cheek = np.zeros(len(points_m))
     for corner, side in ((places.mouth_left, 1), (places.mouth_right, -1)):
-        middle = corner + [0.026 * side, 0.008, -0.028]
+        middle = corner + np.array([0.026 * side, 0.008, -0.028])
         away = (points_m - middle) / [0.05, 0.024, 0.036]
         keep_off = np.clip((np.abs(points_m[:, 0]) - np.abs(corner[0]) - 0.002) / 0.006, 0, 1)
         cheek = np.maximum(cheek, _plateau(1.15 - np.linalg.norm(away, axis=1), 0.25) * keep_off)

@@ -58,7 +58,7 @@ def illuminate(
     return light.astype(np.float32)
 
 
-def openness(vertices_m: NDArray, normals: NDArray, occluder: NDArray, directions: int = 64) -> NDArray[np.float64]:
+def openness(vertices_m: NDArray, normals: NDArray, occluder: NDArray, directions: int = 40) -> NDArray[np.float64]:
     """Share of the sky (n,) that each vertex sees, weighted by the cosine: ambient occlusion of the resting subject."""
     k = np.arange(directions) + 0.5
     height, turn = 1 - 2 * k / directions, np.pi * (1 + 5**0.5) * k  # Fibonacci points on the sphere

@@ -130,7 +130,9 @@ def build_lids(points: NDArray, skin: NDArray, rim: NDArray, centre: NDArray, ba
     gap = np.arcsin(np.clip(top / circle, -1, 1)) - np.arcsin(np.clip(bottom / circle, -1, 1))
     above = np.clip(1 - (y - top) / _LID_REACH_M, 0, 1)
     below = np.clip(1 - (bottom - y) / _LID_REACH_M, 0, 1)
-    closing = np.where(y > 0.5 * (top + bottom), 0.84 * gap * above**2 * (3 - 2 * above), -0.13 * gap * below**2 * (3 - 2 * below))
+    closing = np.where(
+        y > 0.5 * (top + bottom), 0.84 * gap * above**2 * (3 - 2 * above), -0.13 * gap * below**2 * (3 - 2 * below)
+    )
     # a positive turn about x carries the front of the eye downwards
     held_off = ball_radius_m + _LID_THICKNESS_M
     distance = np.linalg.norm(points[chosen] - centre, axis=1)
