@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +13,7 @@ from headcap.errors import InputError
 from headcap.meshes.rasteriser import rasterise
 from headcap.reconstruction import patchmatch
 from headcap.reconstruction.maps import DepthMap, cell_camera, normals_from_slopes
-from headcap.reconstruction.refine import refine_sweep
+from headcap.reconstruction.refine import FROZEN, refine_sweep
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.reconstruction.views import (
     Level,
@@ -24,6 +25,7 @@ from headcap.reconstruction.views import (
     pinhole_views,
     subject_centre,
 )
+from headcap.reconstruction.visibility import best_views
 
 Mesh = tuple[NDArray, NDArray]
 """Vertices (n, 3) in the world, triangles (m, 3)."""
@@ -72,11 +74,16 @@ def estimate_maps(
         )
     ranges = depth_range(rig, centre, settings)
     levels = [build_level(views, k, settings.matching.smoothing_px) for k in range(_level_count(views, settings) + 1)]
-    return [
-        _Matcher(list(rig), levels, view, sources[view], ranges[view], settings).run(views[view], prior)
-        for view in range(len(rig))
-        if len(sources[view])
+    matchers = [
+        _Matcher(list(rig), levels, view, sources[view], ranges[view], settings) for view in range(len(rig)) if len(sources[view])
     ]
+    for matcher in matchers:
+        matcher.run(prior)
+    if len(levels) > 1:
+        rough = [matcher.map(views[matcher.view], 1) for matcher in matchers]
+        for matcher, best in zip(matchers, best_views(rough, settings), strict=True):
+            matcher.finish(best)
+    return [matcher.map(views[matcher.view], 0) for matcher in matchers]
 
 
 def _level_count(views: tuple[View, ...], settings: ReconstructSettings) -> int:
@@ -102,12 +109,18 @@ class _Matcher:
         matching = settings.matching
         self.min_energy = np.float32(matching.window_px**2 * matching.min_contrast**2)
 
-    def run(self, view: View, prior: Mesh | None) -> DepthMap:
-        """All levels, then the map at the finest."""
-        planes = self._coarsest(prior)
-        for index in range(len(self.levels) - 2, -1, -1):
-            planes = self._finer(index, planes)
-        return self._map(view, planes)
+    def run(self, prior: Mesh | None) -> None:
+        """All levels but the finest."""
+        self.planes = self._coarsest(prior)
+        for index in range(len(self.levels) - 2, 0, -1):
+            self.planes = self._finer(index, self.planes)
+
+    def finish(self, best: NDArray[np.bool_]) -> None:
+        """The finest level, in the cells under `best` cells of the level above; the other cells keep its planes."""
+        coarse, cells = self.planes, self._cells(0)
+        rows, columns = (np.minimum(np.arange(n) // 2, m - 1) for n, m in zip(cells.shape, best.shape, strict=True))
+        below = np.ix_(rows, columns)
+        self.planes = self._finer(0, coarse, cells & best[below], below)
 
     def _geometry(self, index: int) -> tuple:
         """The arguments that every kernel begins with."""
@@ -134,7 +147,7 @@ class _Matcher:
         patchmatch.sweep_depths(*geometry, depths, matching.best_sources, self.min_energy, searched, planes.plane, planes.cost)
         planes.active &= (planes.cost < patchmatch.NO_MATCH) | (planes.plane[..., 0] > 0)
         for sweep in range(matching.coarse_sweeps):
-            self._propagate(index, planes, sweep, reach_px=2.0 * 0.6**sweep, slope_reach=0.8 * 0.6**sweep)
+            self._propagate(index, planes, sweep, reach_px=2.0 * 0.7**sweep, slope_reach=1.5 * 0.7**sweep)
         self._refine(index, planes, self.settings.refinement.coarse_sweeps)
         return planes
 
@@ -158,20 +171,22 @@ class _Matcher:
         seed = np.uint64(1_000_003 * (self.view + 1) + 7919 * index + sweep)
         patchmatch.propagate(
             *self._geometry(index), self.w_limits, matching.best_sources, self.min_energy, 3 if coarsest else 0,
-            4 if coarsest else 2, reach_px, slope_reach / focal, seed, planes.active, planes.plane, planes.cost,
+            matching.trials, reach_px, slope_reach / focal, seed, sweep % 2 == 1, planes.active, planes.plane, planes.cost,
         )  # fmt: skip
 
-    def _finer(self, index: int, coarse: _Planes) -> _Planes:
+    def _finer(self, index: int, coarse: _Planes, chosen: NDArray | None = None, below: tuple | None = None) -> _Planes:
         matching, refinement = self.settings.matching, self.settings.refinement
-        planes = _Planes.empty(self._cells(index))
+        planes = _Planes.empty(self._cells(index) if chosen is None else chosen)
         usable = coarse.active & (coarse.cost < matching.max_cost)
         patchmatch.descend(
             *self._geometry(index), matching.best_sources, self.min_energy, coarse.plane, usable, planes.active,
             planes.plane, planes.cost,
         )  # fmt: skip
+        if below is not None:
+            _inherit(planes, coarse, usable, chosen, below, matching.cell_px)
         if index > 0:
             for sweep in range(matching.level_sweeps):
-                self._propagate(index, planes, sweep, reach_px=0.5, slope_reach=0.3)
+                self._propagate(index, planes, sweep, reach_px=1.0 * 0.7**sweep, slope_reach=0.7 * 0.7**sweep)
         self._refine(index, planes, refinement.sweeps if index == 0 else refinement.coarse_sweeps)
         return planes
 
@@ -184,20 +199,36 @@ class _Matcher:
                 planes.plane, planes.cost, planes.spread,
             )  # fmt: skip
 
-    def _map(self, view: View, planes: _Planes) -> DepthMap:
-        cell = self.settings.matching.cell_px
-        camera = cell_camera(view.camera, cell)
+    def map(self, view: View, index: int) -> DepthMap:
+        """The hypotheses as they stand, `index` being the level they were last refined at."""
+        cell, planes = self.settings.matching.cell_px, self.planes
+        matrix = self.levels[index].matrices[self.view]
+        width, height = (int(side) for side in self.levels[index].sizes[self.view])
+        camera = cell_camera(replace(view.camera, width=width, height=height, matrix=matrix), cell)
         w = planes.plane[..., 0]
         good = planes.active & (w > self.w_limits[0]) & (w < self.w_limits[1]) & (planes.spread > 0)
         depth = np.where(good, 1 / np.where(good, w, 1), 0).astype(np.float32)
-        normal = normals_from_slopes(view.camera.matrix, planes.plane, cell)
+        normal = normals_from_slopes(matrix, planes.plane, cell)
         normal[~good] = 0
-        blocks = view.colour[: camera.height * cell, : camera.width * cell].reshape(camera.height, cell, camera.width, cell, 3)
         return DepthMap(
             camera=camera,
             depth=depth,
             normal=normal,
             confidence=np.where(good, np.clip(1 - planes.cost, 0, 1), 0).astype(np.float32),
             sigma=(planes.spread * depth**2).astype(np.float32),
-            colour=blocks.mean((1, 3)).round().astype(np.uint8)[..., ::-1].copy(),
+            colour=cv2.resize(view.colour, camera.size, interpolation=cv2.INTER_AREA)[..., ::-1],
+            chosen=good & (planes.settled < FROZEN),
         )
+
+
+def _inherit(planes: _Planes, coarse: _Planes, usable: NDArray, chosen: NDArray, below: tuple, cell_px: int) -> None:
+    """Fill the cells that are not `chosen` with the planes of the level above, to stand still from now on."""
+    keep = ~chosen & usable[below]
+    rows, columns = below
+    down, right = np.arange(keep.shape[0])[:, None] - 2 * rows - 0.5, np.arange(keep.shape[1]) - 2 * columns - 0.5
+    slopes = 0.5 * coarse.plane[below][..., 1:]
+    w = coarse.plane[below][..., 0] + cell_px * (right * slopes[..., 0] + down * slopes[..., 1])
+    planes.plane[keep] = np.concatenate([w[..., None], slopes], -1)[keep]
+    planes.cost[keep], planes.spread[keep] = coarse.cost[below][keep], coarse.spread[below][keep]
+    planes.active |= keep
+    planes.settled[keep] = FROZEN

@@ -8,14 +8,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from headcap.geometry.transforms import invert
 from headcap.reconstruction.maps import DepthMap
 from headcap.reconstruction.patchmatch import JIT
 from headcap.reconstruction.points import PointCloud
 from headcap.reconstruction.settings import FusionSettings
-
-BASE_ANGLE_DEG = 20.0
-"""Angle between two views at which a pixel of disparity is reckoned in metres; `choose_sources` prefers it."""
+from headcap.reconstruction.visibility import BASE_ANGLE_DEG, MapStack, surface_beside
 
 
 def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_px: int = 2) -> PointCloud:
@@ -24,12 +21,11 @@ def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_
     Every known cell is carried along its normal to the weighted mean of the surfaces that the agreeing views saw there
     (weights: inverse variances along the normal); of the results, the surest are kept at a least distance from each other.
     """
-    size = np.array([depth_map.depth.shape for depth_map in maps])
-    stacked = _Stack(maps, size)
+    stacked = MapStack(maps)
     tangents = math.tan(math.radians(BASE_ANGLE_DEG))
     parts = [
         _fuse_view(
-            index, *stacked.arrays(), settings.min_views, settings.max_disparity_px / (cell_px * tangents),
+            index, stacked.chosen, *stacked.arrays(), settings.min_views, settings.max_disparity_px / (cell_px * tangents),
             math.cos(math.radians(settings.max_normal_deg)), math.cos(math.radians(settings.max_viewing_deg)),
         )
         for index in range(len(maps))
@@ -54,64 +50,10 @@ def _median_footprint(maps: list[DepthMap], cell_px: int) -> float:
     return float(np.median(widths)) if widths else 0.0
 
 
-class _Stack:
-    """All maps padded into arrays that a kernel can index by view."""
-
-    def __init__(self, maps: list[DepthMap], size: NDArray) -> None:
-        rows, columns = size.max(0)
-        n = len(maps)
-        self.size = size
-        self.depth = np.zeros((n, rows, columns), np.float32)
-        self.normal = np.zeros((n, rows, columns, 3), np.float32)
-        self.sigma = np.zeros((n, rows, columns), np.float32)
-        self.confidence = np.zeros((n, rows, columns), np.float32)
-        self.colour = np.zeros((n, rows, columns, 3), np.uint8)
-        for k, m in enumerate(maps):
-            block = (k, slice(0, size[k, 0]), slice(0, size[k, 1]))
-            self.depth[block], self.normal[block], self.sigma[block] = m.depth, m.normal, m.sigma
-            self.confidence[block], self.colour[block] = m.confidence, m.colour
-        self.matrices = np.array([m.camera.matrix for m in maps])
-        self.view_from_world = np.array([m.camera.camera_from_world for m in maps])
-        self.world_from_view = invert(self.view_from_world)
-
-    def arrays(self) -> tuple:
-        return (
-            self.size, self.depth, self.normal, self.sigma, self.confidence, self.colour, self.matrices,
-            self.view_from_world, self.world_from_view,
-        )  # fmt: skip
-
-
-@njit(**JIT)
-def _surface_beside(view, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing):
-    """Where the surface of `view` meets the ray through a point (x, y, z) of its frame.
-
-    Returns (row, column, gap in z of the surface behind the point), row -1 where the view has nothing near.
-    """
-    if z <= 1e-6:
-        return -1, -1, 0.0
-    f = matrices[view, 0, 0]
-    column = math.floor((f * x + matrices[view, 0, 1] * y) / z + matrices[view, 0, 2] + 0.5)
-    row = math.floor(matrices[view, 1, 1] * y / z + matrices[view, 1, 2] + 0.5)
-    if row < 0 or column < 0 or row >= size[view, 0] or column >= size[view, 1]:
-        return -1, -1, 0.0
-    d = depth[view, row, column]
-    if d <= 0.0:
-        return -1, -1, 0.0
-    nx, ny, nz = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
-    px = (column - matrices[view, 0, 2] - matrices[view, 0, 1] * (row - matrices[view, 1, 2]) / matrices[view, 1, 1]) / f * d
-    py = (row - matrices[view, 1, 2]) / matrices[view, 1, 1] * d
-    slant = (nx * x + ny * y + nz * z) / z
-    if -slant < min_facing * math.sqrt(x * x + y * y + z * z) / z:
-        return -1, -1, 0.0
-    gap = (nx * px + ny * py + nz * d) / slant - z
-    if abs(gap) > max_gap_px * z / f:
-        return -1, -1, 0.0
-    return row, column, gap
-
-
 @njit(**JIT)
 def _fuse_view(
     view,
+    chosen,
     size,
     depth,
     normal,
@@ -132,7 +74,7 @@ def _fuse_view(
     most = 0
     for row in range(rows):
         for column in range(columns):
-            most += depth[view, row, column] > 0
+            most += chosen[view, row, column]
     positions, normals = np.empty((most, 3)), np.empty((most, 3), np.float32)
     sigmas, trusts, colours = np.empty(most, np.float32), np.empty(most, np.float32), np.empty((most, 3), np.uint8)
     _gaps, _weights = np.empty(views), np.empty(views)
@@ -141,7 +83,7 @@ def _fuse_view(
     for row in range(rows):
         for column in range(columns):
             d = depth[view, row, column]
-            if d <= 0.0:
+            if d <= 0.0 or not chosen[view, row, column]:
                 continue
             ly = (row - back[1, 2]) / back[1, 1] * d
             lx = ((column - back[0, 2]) * d - back[0, 1] * ly) / back[0, 0]
@@ -172,7 +114,7 @@ def _fuse_view(
                 x = to[0, 0] * wx + to[0, 1] * wy + to[0, 2] * wz + to[0, 3]
                 y = to[1, 0] * wx + to[1, 1] * wy + to[1, 2] * wz + to[1, 3]
                 z = to[2, 0] * wx + to[2, 1] * wy + to[2, 2] * wz + to[2, 3]
-                r, c, gap = _surface_beside(other, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing)
+                r, c, gap = surface_beside(other, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing)
                 if r < 0:
                     continue
                 o0, o1, o2 = normal[other, r, c, 0], normal[other, r, c, 1], normal[other, r, c, 2]

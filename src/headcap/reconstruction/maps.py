@@ -26,6 +26,8 @@ class DepthMap:
     """(rows, columns) standard deviation of depth in metres, relative between cells."""
     colour: NDArray[np.uint8]
     """(rows, columns, 3) RGB."""
+    chosen: NDArray[np.bool_]
+    """(rows, columns) cells to make points of; the others only say where the surface is."""
 
     @property
     def name(self) -> str:

@@ -3,7 +3,8 @@
 A hypothesis is a plane written in the image: inverse depth w at the cell's centre and its slopes a, b per pixel, because
 the inverse depth of a plane is linear over a pinhole image. Handing it to a neighbour is then w + a du + b dv, and the
 warp into a source is the homography M (u, v, 1) + t (w + a du + b dv). Scheme: Bleyer et al. 2011 (PatchMatch stereo),
-with the red-black sweeps of Galliani et al. 2015 (Gipuma).
+whose sweeps in reading order carry a plane across the
+image at once; one core per process makes red-black sweeps needless.
 """
 
 from __future__ import annotations
@@ -197,15 +198,17 @@ def propagate(
     reach_px,
     slope_reach,
     seed,
+    backward,
     active,
     plane,
     cost,
 ):
-    """One red and one black sweep: each cell tries its neighbours' planes, then `trials` random changes of its own.
+    """One sweep in reading order, or against it: each cell tries planes handed on, then `trials` random changes.
 
-    Neighbours are the four beside the cell and, where `far_step` > 0, the best of the four at that distance. Random
-    changes halve in size from `reach_px` pixels of disparity and `slope_reach` (tangent of tilt). Returns how many
-    random changes were accepted.
+    Handed on are the planes of the two neighbours that the sweep has just passed (so one sweep carries a good plane
+    across the image) and, where `far_step` > 0, of the two at that distance. Random changes halve in size from
+    `reach_px` pixels of disparity and `slope_reach` (change of inverse depth per pixel, relative to inverse depth).
+    Returns how many random changes were accepted.
     """
     flat = images.reshape(-1)
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
@@ -214,68 +217,50 @@ def propagate(
     rows, columns = cost.shape
     image = images[view, : sizes[view, 1], : sizes[view, 0]]
     state = np.array([seed], np.uint64)
-    steps = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]])
     accepted = 0
-    for colour in range(2):
-        for row in range(rows):
-            for column in range((row + colour) % 2, columns, 2):
-                if not active[row, column]:
+    side = 1 if backward else -1
+    for index in range(rows * columns):
+        place = rows * columns - 1 - index if backward else index
+        row, column = place // columns, place % columns
+        if not active[row, column]:
+            continue
+        u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
+        energy = load_patch(image, u, v, du, dv, patch)
+        if energy < min_energy:
+            active[row, column] = False
+            continue
+        w, a, b = plane[row, column, 0], plane[row, column, 1], plane[row, column, 2]
+        best = cost[row, column]
+        for k in range(4 if far_step > 0 else 2):
+            reach = side * (1 if k < 2 else far_step)
+            r, c = row + reach * (k % 2), column + reach * (1 - k % 2)
+            if r < 0 or c < 0 or r >= rows or c >= columns or not active[r, c]:
+                continue
+            pa, pb = plane[r, c, 1], plane[r, c, 2]
+            pw = plane[r, c, 0] + np.float32(cell_px) * (pa * np.float32(column - c) + pb * np.float32(row - r))
+            if pw <= w_limits[0] or pw >= w_limits[1]:
+                continue
+            trial = score(flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs)
+            if trial < best:
+                best, w, a, b = trial, pw, pa, pb
+        if trials > 0 and w > 0:
+            unit = pixel_of_disparity(m, t, u, v, w)
+            scale = np.float32(1.0)
+            for _ in range(trials):
+                pw = w + unit * np.float32(reach_px) * scale * next_random(state)
+                pa = a + w * np.float32(slope_reach) * scale * next_random(state)
+                pb = b + w * np.float32(slope_reach) * scale * next_random(state)
+                scale *= np.float32(0.5)
+                if pw <= w_limits[0] or pw >= w_limits[1]:
                     continue
-                u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
-                energy = load_patch(image, u, v, du, dv, patch)
-                if energy < min_energy:
-                    active[row, column] = False
-                    continue
-                w, a, b = plane[row, column, 0], plane[row, column, 1], plane[row, column, 2]
-                best = cost[row, column]
-                far_r, far_c, far_cost = -1, -1, best
-                for k in range(8 if far_step > 0 else 4):
-                    reach = 1 if k < 4 else far_step
-                    r, c = row + steps[k % 4, 0] * reach, column + steps[k % 4, 1] * reach
-                    if r < 0 or c < 0 or r >= rows or c >= columns or not active[r, c]:
-                        continue
-                    if k >= 4:
-                        if cost[r, c] < far_cost:
-                            far_r, far_c, far_cost = r, c, cost[r, c]
-                        continue
-                    pa, pb = plane[r, c, 1], plane[r, c, 2]
-                    pw = plane[r, c, 0] + np.float32(cell_px) * (pa * np.float32(column - c) + pb * np.float32(row - r))
-                    if pw <= w_limits[0] or pw >= w_limits[1]:
-                        continue
-                    trial = score(
-                        flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
-                    )
-                    if trial < best:
-                        best, w, a, b = trial, pw, pa, pb
-                if far_r >= 0:
-                    pa, pb = plane[far_r, far_c, 1], plane[far_r, far_c, 2]
-                    pw = plane[far_r, far_c, 0] + np.float32(cell_px) * (
-                        pa * np.float32(column - far_c) + pb * np.float32(row - far_r)
-                    )
-                    if pw > w_limits[0] and pw < w_limits[1]:
-                        trial = score(
-                            flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
-                        )
-                        if trial < best:
-                            best, w, a, b = trial, pw, pa, pb
-                if trials > 0 and w > 0:
-                    unit = pixel_of_disparity(m, t, u, v, w)
-                    scale = np.float32(1.0)
-                    for _ in range(trials):
-                        pw = w + unit * np.float32(reach_px) * scale * next_random(state)
-                        pa = a + w * np.float32(slope_reach) * scale * next_random(state)
-                        pb = b + w * np.float32(slope_reach) * scale * next_random(state)
-                        scale *= np.float32(0.5)
-                        if pw <= w_limits[0] or pw >= w_limits[1]:
-                            continue
-                        trial = score(
-                            flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
-                        )
-                        if trial < best:
-                            best, w, a, b = trial, pw, pa, pb
-                            accepted += 1
-                cost[row, column] = best
-                plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = w, a, b
+                trial = score(
+                    flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
+                )
+                if trial < best:
+                    best, w, a, b = trial, pw, pa, pb
+                    accepted += 1
+        cost[row, column] = best
+        plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = w, a, b
     return accepted
 
 

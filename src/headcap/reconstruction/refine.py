@@ -16,6 +16,9 @@ from numba import njit
 
 from headcap.reconstruction.patchmatch import JIT, load_patch, pixel_of_disparity, window_offsets
 
+FROZEN = 2
+"""State of a cell that lends its plane to its neighbours and is not refined itself."""
+
 
 @njit(**JIT)
 def sample_system(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, patch, energy, unit, system):
@@ -243,8 +246,9 @@ def refine_sweep(
 ):
     """One sweep of damped Gauss-Newton steps over all active cells, each step kept only if it lowers the energy.
 
-    `settled` (rows, columns) uint8 marks cells whose step was below `converged` pixels and is cleared around cells that
-    moved; `cost` receives 1 - weighted mean correlation, `spread` the standard deviation of w that the system implies.
+    `settled` (rows, columns) uint8 is set to 1 where the step was below `converged` pixels and cleared around cells that
+    moved; FROZEN cells are left as they are.
+    `cost` receives 1 - weighted mean correlation, `spread` the standard deviation of w that the system implies.
     Returns (accepted, rejected).
     """
     flat = images.reshape(-1)
@@ -349,7 +353,7 @@ def refine_sweep(
                 for k in range(4):
                     r = row + (k - 2 if k % 2 == 1 else 0)
                     c = column + (k - 1 if k % 2 == 0 else 0)
-                    if r >= 0 and c >= 0 and r < rows and c < columns:
+                    if r >= 0 and c >= 0 and r < rows and c < columns and settled[r, c] == 1:
                         settled[r, c] = 0
         else:
             rejected += 1

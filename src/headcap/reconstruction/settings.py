@@ -19,7 +19,11 @@ class MatchingSettings(BaseModel):
     coarsest_px: int = Field(120, ge=24, description="longer image side at the coarsest pyramid level")
     depth_planes: int = Field(64, ge=8, description="depths tried for every cell of the coarsest level, without a prior")
     coarse_sweeps: int = Field(4, ge=1, description="propagation sweeps at the coarsest level")
-    level_sweeps: int = Field(1, ge=0, description="propagation sweeps at the levels between the coarsest and the finest")
+    level_sweeps: int = Field(2, ge=0, description="propagation sweeps at the levels between the coarsest and the finest")
+    trials: int = Field(3, ge=0, description="random changes that each cell tries in a sweep")
+    finest_views: int = Field(
+        2, ge=1, description="views, of those that see a place best, that refine it at the finest level; others only vote"
+    )
     smoothing_px: float = Field(0.6, ge=0, description="Gaussian blur of the photographs before they are sampled, pixels")
     min_contrast: float = Field(0.7, ge=0, description="least standard deviation of a window, grey levels of 255")
     max_cost: float = Field(0.75, gt=0, le=2, description="1 - correlation above which a cell is given up between levels")
