@@ -44,6 +44,12 @@ def _add_sound(container, samples: np.ndarray) -> Callable[[], None]:
 
 
 @pytest.fixture
+def slide() -> Callable[..., list[np.ndarray]]:
+    """`sliding`: frames whose content moves one pixel a frame."""
+    return sliding
+
+
+@pytest.fixture
 def write_video(tmp_path: Path) -> Callable[..., Path]:
     """Write frames as H.264 mp4: `numbers` gives each frame's place on the grid (dropped frames leave some out)."""
 
