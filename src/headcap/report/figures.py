@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -62,10 +62,13 @@ def offsets_diagram(offsets: TimeOffsets, true_start_s: dict[str, float] | None,
     with _sheet(8.2, 1.0 + 0.17 * len(rows)) as (figure, out):
         axes = figure.subplots(1, columns, squeeze=False, sharey=True)[0]
         start_ms = 1e3 * (np.array(offsets.start_s) - min(offsets.start_s))
-        colours = [ACCENT if method == "clap" else SECOND for method in offsets.method]
-        axes[0].barh(rows, start_ms, 0.62, color=colours, alpha=np.clip(0.25 + 0.75 * np.array(offsets.confidence), 0, 1))
+        opacity = np.clip(0.25 + 0.75 * np.array(offsets.confidence), 0, 1)
+        colours = [to_rgba(ACCENT if m == "clap" else SECOND, a) for m, a in zip(offsets.method, opacity, strict=True)]
+        axes[0].barh(rows, start_ms, 0.62, color=colours)
         axes[0].set(yticks=rows, yticklabels=offsets.cameras, xlabel="started after the first camera, ms")
-        axes[0].set_title("Start times" + (" (amber: not by the clap)" if "clap" not in set(offsets.method) else ""))
+        axes[0].set_title(
+            "Start times" + (", amber: not by the clap" if set(offsets.method) - {"clap"} else "") + "; pale: less sure"
+        )
         axes[0].invert_yaxis()
         if true_start_s is not None:
             error = 1e3 * np.array([s - true_start_s[c] for s, c in zip(offsets.start_s, offsets.cameras, strict=True)])
@@ -79,31 +82,44 @@ def offsets_diagram(offsets: TimeOffsets, true_start_s: dict[str, float] | None,
 
 
 def rig_diagram(rig: Rig, cloud: NDArray | None) -> Image:
-    """The cameras in space about the subject, seen from in front and above, and from the side."""
-    with _sheet(8.2, 3.9) as (figure, out):
-        for k, (elevation, azimuth) in enumerate([(28, -62), (4, -4)]):
-            axes = figure.add_subplot(1, 2, k + 1, projection="3d", computed_zorder=False)
-            _draw_rig(axes, rig, cloud)
-            axes.view_init(elevation, azimuth)
+    """The cameras about the subject: in space, and from above."""
+    points = np.empty((0, 3)) if cloud is None else np.asarray(cloud)[:: max(1, len(cloud) // 1500)]
+    with _sheet(8.2, 3.7) as (figure, out):
+        _draw_in_space(figure.add_subplot(1, 2, 1, projection="3d", computed_zorder=False), rig, points)
+        _draw_from_above(figure.add_subplot(1, 2, 2), rig, points)
     return out[0]
 
 
-def _draw_rig(axes: Axes, rig: Rig, cloud: NDArray | None) -> None:
+def _draw_in_space(axes: Axes, rig: Rig, points: NDArray) -> None:
     # the plot's vertical axis is the world's y, so axes are handed over as (z, x, y)
-    turn = lambda points: np.moveaxis(np.asarray(points)[..., [2, 0, 1]], -1, 0)  # noqa: E731
-    if cloud is not None and len(cloud):
-        axes.scatter(*turn(cloud[:: max(1, len(cloud) // 1500)]), s=0.4, color=ACCENT, linewidths=0)
+    turn = lambda positions: np.moveaxis(np.asarray(positions)[..., [2, 0, 1]], -1, 0)  # noqa: E731
+    axes.scatter(*turn(points), s=0.4, color=ACCENT, linewidths=0)
     for camera in rig:
         corners = _frustum(camera)
         for corner in corners:
             axes.plot(*turn(np.stack([camera.centre, corner])), color=INK, linewidth=0.6)
         axes.plot(*turn(np.concatenate([corners, corners[:1]])), color=INK, linewidth=0.8)
-        axes.text(*turn(camera.centre + 0.03 * (camera.centre / np.linalg.norm(camera.centre))), camera.name, fontsize=5.5)
-    axes.set_box_aspect(np.ptp(turn(np.concatenate([rig.centres, np.zeros((1, 3))])), axis=1) + 0.1)
+    axes.set_box_aspect(np.ptp(turn(np.concatenate([rig.centres, points, np.zeros((1, 3))])), axis=1) + 0.1, zoom=1.25)
+    axes.view_init(26, 28)
     for name, label in (("x", "z, m"), ("y", "x, m"), ("z", "y, m")):
         getattr(axes, f"set_{name}label")(label, fontsize=7, labelpad=-6)
         getattr(axes, f"{name}axis").set_tick_params(labelsize=6, pad=-3)
         getattr(axes, f"{name}axis").set_pane_color((1, 1, 1, 0))
+
+
+def _draw_from_above(axes: Axes, rig: Rig, points: NDArray) -> None:
+    axes.plot(points[:, 0], points[:, 2], ".", color=ACCENT, markersize=0.7)
+    low = rig.centres[:, 1] < np.median(rig.centres[:, 1])
+    for camera, is_low in zip(rig, low, strict=True):
+        corners = _frustum(camera)
+        colour = SECOND if is_low else INK
+        for corner in corners:
+            axes.plot(*np.stack([camera.centre, corner])[:, [0, 2]].T, color=colour, linewidth=0.7)
+        place = camera.centre - 0.035 * camera.axis
+        axes.text(place[0], place[2], camera.name, fontsize=6, ha="center", va="center", color=colour)
+    axes.set(aspect="equal", xlabel="x, m", ylabel="z, m", title="From above; amber: the lower half of the cameras")
+    axes.margins(0.12)
+    axes.invert_yaxis()
 
 
 def _frustum(camera, length_m: float = 0.09) -> NDArray:
@@ -144,6 +160,7 @@ def heldout_diagram(result: CalibrationResult, limit_px: float | None) -> Image:
             axes.axhline(limit_px, color=WARNING, linewidth=0.9, linestyle="--", label="limit of the rms")
         axes.set(xticks=rows, ylabel="px", title="Board corners in poses left out of the adjustment")
         axes.set_xticklabels([camera.camera for camera in result.cameras], rotation=45 if len(rows) > 10 else 0)
+        axes.grid(axis="x", visible=False)
         axes.legend(ncols=3, loc="upper right")
         axes.margins(y=0.25)
     return out[0]

@@ -34,9 +34,11 @@ def write_report(inputs: ReportInputs, path: Path | str) -> None:
         loader=jinja2.PackageLoader("headcap.report", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["value"] = _value
+    rows = _rows(inputs)
     page = environment.get_template("template.html.j2").render(
         inputs=inputs,
-        rows=_rows(inputs),
+        rows=rows,
+        gates=_gates(rows),
         verdict=_verdict(inputs),
         expectations=_expectations(inputs.figures),
         summary=_summary(inputs),
@@ -72,15 +74,53 @@ def _liveliest(inputs: ReportInputs) -> list:
     return chosen
 
 
-def _rows(inputs: ReportInputs) -> list[tuple[Figure, str, str, bool]]:
-    """(figure, state, meaning, where waived) of each row of the table."""
-    rows = []
-    for figure in inputs.figures:
-        waived = figure.ok is False and figure.name in inputs.allowed
-        state = {True: "good", False: "bad", None: "plain"}[figure.ok]
-        meaning = CATALOGUE[figure.name].meaning if figure.name in CATALOGUE else ""
-        rows.append((figure, state, meaning, waived))
-    return rows
+@dataclass(frozen=True)
+class _Row:
+    """One figure of the table."""
+
+    figure: Figure
+    state: str
+    meaning: str
+    waived: bool
+
+
+def _rows(inputs: ReportInputs) -> list[_Row]:
+    """Rows of the table, in the order of the stages and the catalogue."""
+    stages, names = ("ingest", "sync", "calibrate", "reconstruct", "register", "track"), list(CATALOGUE)
+    place = lambda options, key: options.index(key) if key in options else len(options)  # noqa: E731
+    ordered = sorted(inputs.figures, key=lambda f: (place(stages, f.name.split(".")[0]), place(names, f.name), f.name))
+    return [
+        _Row(
+            figure=figure,
+            state={True: "good", False: "bad", None: "plain"}[figure.ok],
+            meaning=CATALOGUE[figure.name].meaning if figure.name in CATALOGUE else "",
+            waived=figure.ok is False and figure.name in inputs.allowed,
+        )
+        for figure in ordered
+    ]
+
+
+@dataclass(frozen=True)
+class _Gate:
+    """A limit and the worst figure held to it."""
+
+    worst: _Row
+    takes: int
+
+
+def _gates(rows: list[_Row]) -> list[_Gate]:
+    """One gate per figure that has a limit: its worst take."""
+    held: dict[str, list[_Row]] = {}
+    for row in rows:
+        if row.figure.limit is not None:
+            held.setdefault(row.figure.name, []).append(row)
+    return [_Gate(max(group, key=_badness), len(group)) for group in held.values()]
+
+
+def _badness(row: _Row) -> float:
+    if row.figure.value is None:
+        return float("inf")
+    return row.figure.limit - row.figure.value if row.figure.at_least else row.figure.value - row.figure.limit
 
 
 def _verdict(inputs: ReportInputs) -> tuple[int, int]:
@@ -92,9 +132,9 @@ def _verdict(inputs: ReportInputs) -> tuple[int, int]:
 def _value(number: float | None) -> str:
     if number is None:
         return "not measured"
-    if number == round(number) and abs(number) < 1e9:
-        return f"{int(number):,}"
-    return f"{number:.4g}"
+    if abs(number) >= 1000 or number == round(number):
+        return f"{number:,.0f}"
+    return f"{number:.3g}"
 
 
 _EXPECTED = (

@@ -36,7 +36,7 @@ def viewport(camera: Camera, box: tuple[float, float, float, float], height: int
 
 
 def crop(photograph: Image, box: tuple[float, float, float, float], size: tuple[int, int]) -> Image:
-    """What `viewport` sees of the photograph, size (width, height); black outside."""
+    """What `viewport` sees of the photograph, size (width, height); beyond its border the border's colour goes on."""
     left, top, right, bottom = box
     width, height = size
     factor = np.array([width / (right - left), height / (bottom - top)])
@@ -45,7 +45,8 @@ def crop(photograph: Image, box: tuple[float, float, float, float], size: tuple[
     # area averaging where the picture shrinks: linear sampling alone would alias
     if factor.min() < 0.7:
         photograph = cv2.GaussianBlur(photograph, (0, 0), 0.35 / factor.min())
-    return cv2.warpAffine(photograph, matrix, (width, height), flags=cv2.INTER_CUBIC if factor.min() > 1 else cv2.INTER_LINEAR)
+    sampling = cv2.INTER_CUBIC if factor.min() > 1 else cv2.INTER_LINEAR
+    return cv2.warpAffine(photograph, matrix, (width, height), flags=sampling, borderMode=cv2.BORDER_REPLICATE)
 
 
 def box_of(camera: Camera, points: NDArray, *, margin: float = 0.06, aspect: float | None = None) -> tuple:
@@ -116,7 +117,7 @@ def draw_wire(image: Image, camera: Camera, vertices: NDArray, triangles: NDArra
     lines = np.rint(pixels[edges] * 16).astype(np.int32)
     layer = image.copy()
     cv2.polylines(layer, list(lines), False, ACCENT, 1, cv2.LINE_AA, shift=4)
-    return cv2.addWeighted(layer, 0.65, image, 0.35, 0)
+    return cv2.addWeighted(layer, 0.5, image, 0.5, 0)
 
 
 def draw_values(
