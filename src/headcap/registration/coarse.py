@@ -1,0 +1,185 @@
+"""The coarse pass: frame after frame at reduced resolution, by dense flow, equation 6 and the deformation graph.
+
+Each frame starts from the motion so far carried on, is rendered into every view at the moment of that view's photograph, and is
+moved by the flow to the photograph: first nearly rigidly, then as softly as the graph allows. A last step of surface flow adds
+what the graph cannot follow. The comparison is always with the fixed reference, so errors do not add up over time.
+
+Cameras do not fire together. Nothing is resampled in time: a camera's photograph is compared with the mesh where it is at that
+photograph's moment, X(t) + (photograph's time - t) * velocity + half acceleration * (..)^2. The coarse pass takes velocity and
+acceleration from the frames before and the running estimate; the fine pass interpolates the coarse trajectory on both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.meshes.normals import vertex_normals
+from headcap.reconstruction.points import PointCloud
+from headcap.registration.correspondence import (
+    VertexTargets,
+    ViewFlow,
+    pairs_normal,
+    point_pairs,
+    residual_spread_px,
+    targets_normal,
+    texture_strength,
+    vertex_targets,
+)
+from headcap.registration.flow import dense_flow
+from headcap.registration.graph import GraphSolver, Pose, build_graph, predict
+from headcap.registration.local_contrast import normalise
+from headcap.registration.photometric import Normal, inner, photometric_normal
+from headcap.registration.photographs import Photograph
+from headcap.registration.reference import Reference
+from headcap.registration.refine import Refiner
+from headcap.registration.render import project, shade, visible_vertices
+from headcap.registration.track_settings import TrackSettings
+
+
+@dataclass(frozen=True)
+class CoarseState:
+    """Where the coarse pass stands after a frame."""
+
+    time_s: float
+    pose: Pose
+    displacement: NDArray[np.float64]
+    """(n, 3) of the vertices from where the graph puts them."""
+    positions: NDArray[np.float64]
+    """(n, 3)."""
+
+
+class CoarseTracker:
+    """Carries one template through the frames of a take at reduced resolution."""
+
+    def __init__(self, reference: Reference, settings: TrackSettings) -> None:
+        self.reference, self.settings = reference, settings
+        template = reference.template
+        self.graph = build_graph(
+            template.vertices, template.triangles, settings.graph, fine=_lips(template), shown=reference.shown
+        )
+        self.solver = GraphSolver(self.graph, settings.graph)
+        self.refiner = Refiner(template.vertices, template.triangles, settings.refine)
+
+    def start(self, time_s: float) -> CoarseState:
+        """The reference frame."""
+        return CoarseState(time_s, self.graph.rest, np.zeros_like(self.graph.vertices), self.graph.vertices)
+
+    def advance(
+        self,
+        before: CoarseState,
+        earlier: CoarseState | None,
+        time_s: float,
+        photographs: list[Photograph],
+        cloud: PointCloud | None,
+    ) -> tuple[CoarseState, dict[str, float]]:
+        """Track one frame from the two before it; also the residuals left."""
+        pose = before.pose
+        if earlier is not None:
+            pose = predict(before.pose, earlier.pose, (time_s - before.time_s) / (before.time_s - earlier.time_s))
+        figures: dict[str, float] = {}
+        displacement = before.displacement
+        for _ in range(self.settings.coarse_rounds):
+            motion = BackwardMotion.between(time_s, self.graph.deform(pose) + displacement, before, earlier)
+            pose, figures = self._round(pose, displacement, motion, photographs, cloud)
+        for _ in range(self.settings.coarse_refinements):
+            positions = self.graph.deform(pose) + displacement
+            motion = BackwardMotion.between(time_s, positions, before, earlier)
+            normal = self._surface_flow(positions, motion, photographs)
+            displacement = displacement + self.refiner.solve(normal, displacement)
+        return CoarseState(time_s, pose, displacement, self.graph.deform(pose) + displacement), figures
+
+    def _round(
+        self, pose: Pose, displacement: NDArray, motion: BackwardMotion, photographs: list[Photograph], cloud: PointCloud | None
+    ):
+        settings, triangles = self.settings, self.reference.template.triangles
+        positions = self.graph.deform(pose) + displacement
+        offsets = [motion.offset(photograph.delay_s) for photograph in photographs]
+        views = [self._flow(positions + o, p) for p, o in zip(photographs, offsets, strict=True)]
+        targets = [self._targets(view, positions + o) for view, o in zip(views, offsets, strict=True)]
+        pairs = None if cloud is None else point_pairs(cloud, views, offsets, triangles, settings.correspondence)
+        # far from the targets their scatter is motion still to be found, not error: the robust scale shrinks step by step
+        spread = residual_spread_px(targets, [positions + offset for offset in offsets])
+        for step in range(settings.graph.steps):
+            surface = self.graph.deform(pose)
+            positions = surface + displacement
+            normal = _sum_targets(targets, offsets, positions, max(settings.flow_robust_px, 3 * spread * 0.3**step))
+            if pairs is not None:
+                normal = normal + pairs_normal(pairs, positions, triangles, settings.correspondence)
+            pose = self.solver.step(pose, normal, surface)
+        return pose, {"flow_residual_px": normal.residual}
+
+    def _flow(self, positions: NDArray, photograph: Photograph) -> ViewFlow:
+        settings, reference = self.settings, self.reference
+        camera, source = reference.cameras[photograph.camera], reference.sources[photograph.camera]
+        projection = project(camera, positions, reference.template.triangles, margin_px=16)
+        rendered, known = shade(projection, reference.template.triangles, source)
+        seen = photograph.image[projection.window.slices]
+        # around the known surface the photograph itself stands in, so that silhouettes are no false edges
+        rendered = np.where(known, rendered, seen)
+        flow = dense_flow(rendered, seen, settings.flow)
+        contrast = normalise(rendered, known, window_px=settings.flow.window_px, floor=settings.flow.contrast_floor).image
+        strength = texture_strength(contrast, settings.correspondence.texture_strength)
+        trusted = inner(known, 2) & (flow.mismatch < settings.correspondence.mismatch_limit)
+        return ViewFlow(camera, projection, flow, trusted, strength)
+
+    def _targets(self, view: ViewFlow, positions: NDArray) -> VertexTargets:
+        triangles = self.reference.template.triangles
+        visible = visible_vertices(view.projection, triangles, len(positions))
+        return vertex_targets(view, positions, vertex_normals(positions, triangles), visible, self.settings.correspondence)
+
+    def _surface_flow(self, positions: NDArray, motion: BackwardMotion, photographs: list[Photograph]) -> Normal:
+        return surface_flow(self.reference, positions, motion.offset, photographs, self.settings)
+
+
+def surface_flow(
+    reference: Reference, positions: NDArray, offset, photographs: list[Photograph], settings: TrackSettings
+) -> Normal:
+    """Sum over views of what their photographs say about the mesh (n, 3); `offset(delay_s)` is its motion (n, 3) within the frame."""
+    triangles = reference.template.triangles
+    normals = vertex_normals(positions, triangles)
+    total = Normal.zero(len(positions))
+    for photograph in photographs:
+        c = photograph.camera
+        moved = positions + offset(photograph.delay_s)
+        total = total + photometric_normal(
+            reference.cameras[c], reference.sources[c], moved, normals, triangles, photograph.image, settings.photometric
+        )
+    return total
+
+
+@dataclass(frozen=True)
+class BackwardMotion:
+    """Motion about a frame from the frames before it."""
+
+    velocity: NDArray[np.float64]
+    """(n, 3) m / s at the frame."""
+
+    @classmethod
+    def between(cls, time_s: float, positions: NDArray, before: CoarseState, earlier: CoarseState | None) -> BackwardMotion:
+        """The last interval's velocity, and half of what a parabola through three frames would add: sudden stops overshoot less."""
+        last = (positions - before.positions) / (time_s - before.time_s)
+        if earlier is None:
+            return cls(last)
+        previous = (before.positions - earlier.positions) / (before.time_s - earlier.time_s)
+        return cls(last + 0.25 * (last - previous))
+
+    def offset(self, delay_s: float) -> NDArray[np.float64]:
+        """Motion (n, 3) from the frame to a moment `delay_s` later."""
+        return delay_s * self.velocity
+
+
+def _sum_targets(targets: list[VertexTargets], offsets: list[NDArray], positions: NDArray, robust_px: float) -> Normal:
+    total, residuals = Normal.zero(len(positions)), []
+    for target, offset in zip(targets, offsets, strict=True):
+        part = targets_normal(target, positions + offset, robust_px)
+        residuals.append(part.residual)
+        total = total + part
+    return Normal(total.blocks, total.right, float(np.median(residuals)))
+
+
+def _lips(template) -> NDArray[np.bool_] | None:
+    masks = [mask for name, mask in template.regions.items() if name.startswith("lips")]
+    return np.any(masks, axis=0) if masks else None

@@ -1,0 +1,221 @@
+"""From dense flow to correspondences: equation 6 for cloud points, and reprojection targets for vertices.
+
+Equation 6 (section 4.2): a cloud point p_i is projected into the view c_i that sees it most squarely, the flow leads from the
+photograph's pixel to the rendering's, and inverse rendering gives the point v_i of the template there. Here the flow is
+computed from the rendering to the photograph and inverted at the point, so that the same flow also tells where each vertex
+should appear in each view: geometry alone slides along the skin, these targets do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from headcap.cameras import Camera
+from headcap.reconstruction.points import PointCloud
+from headcap.registration.flow import Flow, sample
+from headcap.registration.photometric import Normal
+from headcap.registration.render import Projection
+
+
+class CorrespondenceSettings(BaseModel):
+    """Which flow and which cloud points to believe, and how much."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    least_cosine: float = Field(0.25, description="Surface seen more obliquely than this cosine is left out")
+    flow_error_px: float = Field(1.0, description="Standard deviation of a flow observation at the flow's resolution, pixels")
+    texture_strength: float = Field(
+        0.02, description="Squared gradient of normalised contrast at which flow counts half, 1 / px^2"
+    )
+    mismatch_limit: float = Field(1.0, description="Largest grey level difference after warping, in units of local contrast")
+    point_error_mm: float = Field(0.3, description="Standard deviation of a cloud point along its normal, millimetres")
+    slide_error_mm: float = Field(
+        1.0, description="Standard deviation of equation 6's surface point along the surface, millimetres"
+    )
+    point_limit_mm: float = Field(15.0, description="Cloud points farther from their surface point are left out, millimetres")
+    point_share: float = Field(0.1, description="Weight of one cloud point, for neighbouring points err together")
+
+
+@dataclass(frozen=True)
+class ViewFlow:
+    """One view's flow from the rendering at the photograph's moment to the photograph."""
+
+    camera: Camera
+    projection: Projection
+    flow: Flow
+    trusted: NDArray[np.bool_]
+    """(h, w) of the window: rendering known, away from its edges, grey levels agree after warping."""
+    strength: NDArray[np.float32]
+    """(h, w) 0 to 1: how much texture the flow had to hold on to."""
+
+
+@dataclass(frozen=True)
+class VertexTargets:
+    """Where one view's photograph shows each vertex."""
+
+    camera: Camera
+    pixels: NDArray[np.float64]
+    """(n, 2) in the whole image."""
+    weight: NDArray[np.float64]
+    """(n,) 1 / px^2; 0 where the view says nothing."""
+
+
+@dataclass(frozen=True)
+class PointPairs:
+    """Cloud points p_i and the surface points v_i of equation 6."""
+
+    triangle: NDArray[np.int64]
+    """(k,)"""
+    barycentric: NDArray[np.float64]
+    """(k, 3)"""
+    points: NDArray[np.float64]
+    """(k, 3) metres, world."""
+    normals: NDArray[np.float64]
+    """(k, 3) unit."""
+
+
+def texture_strength(rendered_normalised: NDArray[np.float32], half: float) -> NDArray[np.float32]:
+    """(h, w) from 0 (flat) to 1 (rich) by the smaller eigenvalue of the structure tensor over a 9-pixel window."""
+    smallest = cv2.cornerMinEigenVal(rendered_normalised, 9, 3)
+    # OpenCV scales the derivative by 1 / (2^(ksize-1) * blockSize) = 1/36 for floats; Sobel 3x3 itself amplifies 8 times
+    squared = smallest * (36.0 / 8.0) ** 2 / 81.0
+    return (squared / (squared + np.float32(half))).astype(np.float32)
+
+
+def vertex_targets(
+    view: ViewFlow, vertices: NDArray, normals: NDArray, visible: NDArray, settings: CorrespondenceSettings
+) -> VertexTargets:
+    """Reprojection targets of the mesh (n, 3) as it was rendered, with `visible` (n,) from the z-buffer."""
+    window = view.projection.window
+    local = view.projection.pixels - (window.x0, window.y0)
+    shift = view.flow.at(local)
+    towards = view.camera.centre - vertices
+    cosine = np.einsum("nk,nk->n", towards, normals) / np.linalg.norm(towards, axis=1)
+    trust = sample(view.trusted.astype(np.float32), local)
+    strength = sample(view.strength, local)
+    good = visible & (cosine > settings.least_cosine) & (trust > 0.99) & np.isfinite(shift).all(1)
+    weight = np.where(good, np.nan_to_num(strength) * cosine / settings.flow_error_px**2, 0.0)
+    return VertexTargets(view.camera, np.where(good[:, None], view.projection.pixels + shift, 0.0), weight)
+
+
+def targets_normal(targets: VertexTargets, vertices: NDArray, robust_px: float) -> Normal:
+    """Normal equations of a view's targets at vertices (n, 3), with Geman-McClure weights of scale `robust_px`."""
+    blocks, right = np.zeros((len(vertices), 6)), np.zeros((len(vertices), 3))
+    used = np.flatnonzero(targets.weight > 0)
+    if len(used) == 0:
+        return Normal(blocks, right, 0.0)
+    pixels, jacobian = targets.camera.project_with_jacobian(vertices[used])
+    residual = targets.pixels[used] - pixels
+    squared = np.einsum("nk,nk->n", residual, residual)
+    weight = targets.weight[used] / (1 + squared / robust_px**2) ** 2
+    full = np.einsum("nki,n,nkj->nij", jacobian, weight, jacobian)
+    blocks[used] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    right[used] = np.einsum("nki,n,nk->ni", jacobian, weight, residual)
+    return Normal(blocks, right, float(np.sqrt(np.median(squared))))
+
+
+def residual_spread_px(targets: list[VertexTargets], positions: list[NDArray]) -> float:
+    """95th percentile of all views' residuals, pixels, for a mesh (n, 3) placed at each view's moment."""
+    parts = [np.zeros(1)]
+    for target, vertices in zip(targets, positions, strict=True):
+        used = target.weight > 0
+        parts.append(np.linalg.norm(target.pixels[used] - target.camera.project(vertices[used])[0], axis=1))
+    return float(np.percentile(np.concatenate(parts), 95))
+
+
+def point_pairs(
+    cloud: PointCloud, views: list[ViewFlow], offsets: list[NDArray], triangles: NDArray, settings: CorrespondenceSettings
+) -> PointPairs:
+    """Equation 6 for a cloud at the frame's moment.
+
+    `offsets` holds per view the mesh's motion (n, 3) from the frame's moment to that of the photograph; a point moves along
+    with the surface it is projected onto before it is looked up.
+    """
+    positions, normals = cloud.positions.astype(float), cloud.normals.astype(float)
+    best = _squarest_view(positions, normals, views, settings.least_cosine)
+    parts = []
+    for c, (view, offset) in enumerate(zip(views, offsets, strict=True)):
+        chosen = np.flatnonzero(best == c)
+        triangle, barycentric = _inverse_render(view, positions[chosen], offset, triangles)
+        hit = triangle >= 0
+        parts.append((triangle[hit], barycentric[hit], positions[chosen[hit]], normals[chosen[hit]]))
+    return PointPairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def pairs_normal(
+    pairs: PointPairs, vertices: NDArray, triangles: NDArray, settings: CorrespondenceSettings, share: float = 1.0
+) -> Normal:
+    """Normal equations of point pairs at vertices (n, 3): tight along the point's normal, loose along the surface."""
+    corners = triangles[pairs.triangle]
+    surface = np.einsum("kc,kci->ki", pairs.barycentric, vertices[corners])
+    residual = pairs.points - surface
+    distance = np.linalg.norm(residual, axis=1)
+    along = np.einsum("ki,ki->k", residual, pairs.normals)
+    scale = settings.point_error_mm * 1e-3
+    weight = share * settings.point_share / (1 + (along / (4 * scale)) ** 2) ** 2 * (distance < settings.point_limit_mm * 1e-3)
+    blocks, right = np.zeros((len(vertices), 6)), np.zeros((len(vertices), 3))
+    slide = settings.slide_error_mm * 1e-3
+    loose = 0.0 if slide <= 0 else 1 / slide**2
+    _accumulate_points(corners, pairs.barycentric, pairs.normals, residual, weight, 1 / scale**2, loose, blocks, right)
+    return Normal(blocks, right, float(np.median(np.abs(along))) if len(along) else 0.0)
+
+
+def _squarest_view(positions, normals, views, least_cosine) -> NDArray[np.int64]:
+    cosine = np.full((len(views), len(positions)), -1.0)
+    for c, view in enumerate(views):
+        towards = view.camera.centre - positions
+        cosine[c] = np.einsum("nk,nk->n", towards, normals) / np.linalg.norm(towards, axis=1)
+    best = cosine.argmax(0)
+    return np.where(cosine.max(0) > least_cosine, best, -1)
+
+
+def _inverse_render(view: ViewFlow, points: NDArray, offset: NDArray, triangles: NDArray):
+    """Triangle (k,), -1 where there is none, and barycentrics (k, 3) of equation 6 for points seen by one view."""
+    window, raster = view.projection.window, view.projection.raster
+    corner = (window.x0, window.y0)
+    start, start_weights = _pick(raster, view.camera.project(points)[0] - corner, None)
+    moved = points + np.einsum("kc,kci->ki", start_weights, offset[triangles[np.maximum(start, 0)]])
+    pixels = view.camera.project(moved)[0] - corner
+    return _pick(raster, pixels + view.flow.inverse_at(pixels), view.trusted)
+
+
+def _pick(raster, pixels: NDArray, trusted: NDArray | None):
+    height, width = raster.triangle.shape
+    nearest = np.nan_to_num(np.rint(pixels), nan=-1).astype(int)
+    inside = (nearest >= 0).all(1) & (nearest[:, 0] < width) & (nearest[:, 1] < height)
+    x, y = np.where(inside[:, None], nearest, 0).T
+    triangle = np.where(inside, raster.triangle[y, x] if raster.triangle.size else -1, -1)
+    if trusted is not None and trusted.size:
+        triangle = np.where(trusted[y, x], triangle, -1)
+    weights = (
+        np.where((triangle >= 0)[:, None], raster.barycentric[y, x], 0.0) if raster.triangle.size else np.zeros((len(pixels), 3))
+    )
+    return triangle.astype(np.int64), weights.astype(float)
+
+
+@njit(cache=True, error_model="numpy")
+def _accumulate_points(corners, barycentric, normals, residual, weight, tight, loose, blocks, right):
+    for i in range(len(corners)):
+        if weight[i] == 0.0:
+            continue
+        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        extra = tight - loose
+        along = n0 * residual[i, 0] + n1 * residual[i, 1] + n2 * residual[i, 2]
+        for k in range(3):
+            share = weight[i] * barycentric[i, k]
+            v = corners[i, k]
+            blocks[v, 0] += share * (loose + extra * n0 * n0)
+            blocks[v, 1] += share * extra * n0 * n1
+            blocks[v, 2] += share * extra * n0 * n2
+            blocks[v, 3] += share * (loose + extra * n1 * n1)
+            blocks[v, 4] += share * extra * n1 * n2
+            blocks[v, 5] += share * (loose + extra * n2 * n2)
+            right[v, 0] += share * (loose * residual[i, 0] + extra * along * n0)
+            right[v, 1] += share * (loose * residual[i, 1] + extra * along * n1)
+            right[v, 2] += share * (loose * residual[i, 2] + extra * along * n2)

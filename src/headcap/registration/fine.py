@@ -1,0 +1,65 @@
+"""The fine pass: each frame at full resolution from the coarse trajectory, independent of every other frame.
+
+A frame's result depends on the coarse trajectory and that frame's photographs and cloud alone. Chunks therefore fit together
+without a seam wherever a take is cut, and nothing can drift within a chunk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.reconstruction.points import PointCloud
+from headcap.registration.coarse import surface_flow
+from headcap.registration.photographs import Photograph
+from headcap.registration.reference import Reference
+from headcap.registration.refine import Refiner
+from headcap.registration.track_settings import TrackSettings
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Motion about a frame from a parabola through it and its neighbours in the coarse pass."""
+
+    velocity: NDArray[np.float64]
+    """(n, 3) m / s."""
+    acceleration: NDArray[np.float64]
+    """(n, 3) m / s^2."""
+
+    @classmethod
+    def through(cls, times_s: NDArray, positions: NDArray) -> Trajectory:
+        """From three frames (3, n, 3); the frame is the middle one."""
+        before, after = times_s[1] - times_s[0], times_s[2] - times_s[1]
+        slope_before = (positions[1] - positions[0]) / before
+        slope_after = (positions[2] - positions[1]) / after
+        acceleration = 2 * (slope_after - slope_before) / (before + after)
+        return cls(slope_before + 0.5 * before * acceleration, acceleration)
+
+    def offset(self, delay_s: float) -> NDArray[np.float64]:
+        """Motion (n, 3) from the frame to a moment `delay_s` later."""
+        return delay_s * self.velocity + 0.5 * delay_s**2 * self.acceleration
+
+
+class FineTracker:
+    """Refines coarse frames one by one."""
+
+    def __init__(self, reference: Reference, settings: TrackSettings, *, refinements: int | None = None) -> None:
+        self.reference, self.settings = reference, settings
+        self.refinements = settings.fine_refinements if refinements is None else refinements
+        template = reference.template
+        self.refiner = Refiner(template.vertices, template.triangles, settings.refine)
+
+    def refine(
+        self, coarse: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud | None
+    ) -> tuple[NDArray[np.float64], dict[str, float]]:
+        """Positions (n, 3) of one frame from its coarse ones, and the residuals left."""
+        displacement = np.zeros_like(coarse)
+        figures: dict[str, float] = {}
+        for _ in range(self.refinements):
+            normal = surface_flow(self.reference, coarse + displacement, trajectory.offset, photographs, self.settings)
+            update = self.refiner.solve(normal, displacement)
+            displacement += update
+            figures = {"surface_flow_residual": normal.residual, "last_step_mm": 1e3 * float(np.sqrt((update**2).sum(1).mean()))}
+        return coarse + displacement, figures

@@ -1,0 +1,153 @@
+"""Flow on the surface: what every pixel of every view says about the motion of the mesh under it.
+
+The data term of dense flow (Brox et al. 2004: brightness constancy, linearised, robust) with two changes that a mesh makes
+possible. The unknown is the surface's motion in space, so all views speak about one unknown; and the smoothness that fills in
+flat skin lives on the surface, so that the flow of the upper lip never smooths into the lower one. A pixel's row is shared out
+to the corners of its triangle by its barycentrics, which keeps the normal matrix a 3x3 block per vertex. (Sharing out bounds the
+true quadratic from above, so steps are careful at the finest scale and the fixed point is the same.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from headcap.cameras import Camera
+from headcap.registration.local_contrast import normalise
+from headcap.registration.render import Projection, Source, project, shade
+
+
+class PhotometricSettings(BaseModel):
+    """How rendered template and photographs are compared pixel by pixel."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    window_px: int = Field(31, description="Box over which local mean and contrast are taken, pixels")
+    contrast_floor: float = Field(4.0, description="Grey levels added to the local contrast in quadrature")
+    smoothing_px: float = Field(0.7, description="Gaussian smoothing of the photographs, pixels")
+    noise: float = Field(2.0, description="Standard deviation of a photograph's noise, grey levels")
+    mismatch: float = Field(0.15, description="Error of the rendering in units of local contrast")
+    robust_scale: float = Field(3.0, description="Residual, in its standard deviations, at which a pixel loses 3/4 of its weight")
+    least_cosine: float = Field(0.2, description="Pixels seen more obliquely than this cosine say nothing")
+    margin_px: int = Field(3, description="Pixels this near an edge of the known rendering say nothing")
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of vertex motion: block-diagonal matrix and right-hand side, both in units of 1 / m^2 and 1 / m."""
+
+    blocks: NDArray[np.float64]
+    """(n, 6) xx, xy, xz, yy, yz, zz per vertex."""
+    right: NDArray[np.float64]
+    """(n, 3)."""
+    residual: float
+    """Weighted rms residual in its standard deviations."""
+
+    @classmethod
+    def zero(cls, n_vertices: int) -> Normal:
+        """No data."""
+        return cls(np.zeros((n_vertices, 6)), np.zeros((n_vertices, 3)), 0.0)
+
+    def __add__(self, other: Normal) -> Normal:
+        return Normal(self.blocks + other.blocks, self.right + other.right, max(self.residual, other.residual))
+
+
+def photometric_normal(
+    camera: Camera,
+    source: Source,
+    vertices_world: NDArray,
+    normals: NDArray,
+    triangles: NDArray,
+    photograph: NDArray[np.float32],
+    settings: PhotometricSettings,
+) -> Normal:
+    """What one view's grey photograph (h, w) says about a mesh's vertices (n, 3) at that photograph's moment."""
+    projection = project(camera, vertices_world, triangles)
+    n = len(vertices_world)
+    if projection.raster.triangle.size == 0:
+        return Normal(np.zeros((n, 6)), np.zeros((n, 3)), 0.0)
+    rendered, known = shade(projection, triangles, source)
+    residual, gradient, variance = _compare(rendered, photograph[projection.window.slices], known, settings)
+    weight = np.where(inner(known, settings.margin_px), 1.0 / variance, 0.0).astype(np.float32)
+    jacobian, cosine = _vertex_jacobian(camera, vertices_world, normals, settings.least_cosine)
+    blocks, right = np.zeros((n, 6)), np.zeros((n, 3))
+    raster = projection.raster
+    total = _accumulate(
+        raster.triangle, raster.barycentric, triangles, residual, *gradient, weight, jacobian, cosine,
+        settings.robust_scale**2, blocks, right,
+    )  # fmt: skip
+    return Normal(blocks, right, float(np.sqrt(total[0] / max(total[1], 1e-12))))
+
+
+def _compare(rendered, photograph, known, settings):
+    a = normalise(rendered, known, window_px=settings.window_px, floor=settings.contrast_floor)
+    b = normalise(photograph, known, window_px=settings.window_px, floor=settings.contrast_floor)
+    mean = 0.5 * (a.image + b.image)
+    # derivative by central differences, like the linearisation point half-way between both images
+    gradient = (
+        cv2.Sobel(mean, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8),
+        cv2.Sobel(mean, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8),
+    )
+    contrast = np.minimum(a.contrast, b.contrast)
+    variance = settings.mismatch**2 + 2 * (settings.noise / contrast) ** 2
+    return a.image - b.image, gradient, variance
+
+
+def inner(known: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:
+    """The mask (h, w) without a rim of `margin_px`."""
+    size = 2 * margin_px + 1
+    # single unknown pixels are no edge
+    closed = cv2.morphologyEx(known.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    return cv2.erode(closed, np.ones((size, size), np.uint8), borderValue=0).astype(bool) & known
+
+
+def _vertex_jacobian(camera: Camera, vertices: NDArray, normals: NDArray, least_cosine: float):
+    """Pixel derivative (n, 6) per vertex and the cosine (n,) towards the camera, 0 where too oblique."""
+    jacobian = camera.project_with_jacobian(vertices)[1].reshape(-1, 6)
+    towards = camera.centre - vertices
+    cosine = np.einsum("nk,nk->n", towards, normals) / np.linalg.norm(towards, axis=1)
+    return np.nan_to_num(jacobian), np.where(cosine > least_cosine, cosine, 0.0)
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _accumulate(
+    triangle, barycentric, triangles, residual, gradient_x, gradient_y, weight, jacobian, cosine, robust_squared, blocks, right
+):
+    height, width = triangle.shape
+    sum_squares, sum_weights = 0.0, 0.0
+    for y in range(height):
+        for x in range(width):
+            w = weight[y, x]
+            if w == 0.0:
+                continue
+            f = triangle[y, x]
+            r = residual[y, x]
+            squared = r * r * w
+            falloff = 1.0 / (1.0 + squared / robust_squared)  # Geman-McClure
+            w *= falloff * falloff
+            gx, gy = gradient_x[y, x], gradient_y[y, x]
+            sum_squares += squared * falloff * falloff
+            sum_weights += falloff * falloff
+            for k in range(3):
+                v = triangles[f, k]
+                share = w * barycentric[y, x, k] * cosine[v]
+                if share == 0.0:
+                    continue
+                ax = gx * jacobian[v, 0] + gy * jacobian[v, 3]
+                ay = gx * jacobian[v, 1] + gy * jacobian[v, 4]
+                az = gx * jacobian[v, 2] + gy * jacobian[v, 5]
+                blocks[v, 0] += share * ax * ax
+                blocks[v, 1] += share * ax * ay
+                blocks[v, 2] += share * ax * az
+                blocks[v, 3] += share * ay * ay
+                blocks[v, 4] += share * ay * az
+                blocks[v, 5] += share * az * az
+                right[v, 0] += share * ax * r
+                right[v, 1] += share * ay * r
+                right[v, 2] += share * az * r
+    return sum_squares, sum_weights

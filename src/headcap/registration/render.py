@@ -1,0 +1,160 @@
+"""The textured template seen by a camera: a z-buffer, then a look-up in the texture or in the camera's own first photograph.
+
+Equation 6 compares each photograph with the template rendered "with its texture". Two sources of that texture stand side by
+side. The *baked* texture is one atlas for all cameras (section 4.2). The *own photograph* of a camera is its picture of the
+reference frame, reached through the reference mesh: the same lens blur, exposure and shading as every later photograph of that
+camera, resampled once; it serves every triangle that the camera saw well at the reference frame, the atlas serves the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from headcap.cameras import Camera
+from headcap.meshes.rasteriser import Raster, rasterise_pixels
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of an image: columns x0 to x0 + width, rows y0 to y0 + height."""
+
+    x0: int
+    y0: int
+    width: int
+    height: int
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        """To cut the window out of an (h, w, ...) image."""
+        return slice(self.y0, self.y0 + self.height), slice(self.x0, self.x0 + self.width)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A mesh rasterised into the part of a view that it fills."""
+
+    window: Window
+    pixels: NDArray[np.float64]
+    """(n, 2) vertices in the whole image."""
+    raster: Raster
+    """Of the window alone."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a camera finds the grey level of a point of the surface."""
+
+    photograph: NDArray[np.float32] | None
+    """(h, w) the camera's own picture of the reference frame."""
+    photograph_pixels: NDArray[np.float32] | None
+    """(n, 2) the reference mesh's vertices in it."""
+    photograph_clear: NDArray[np.bool_]
+    """(h, w) false near folds and silhouettes, where the lens blur mixes two surfaces."""
+    photograph_serves: NDArray[np.bool_]
+    """(m,) triangles that it shows well."""
+    texture: NDArray[np.float32] | None
+    """(h, w) grey atlas at this camera's gain."""
+    texture_pixels: NDArray[np.float32] | None
+    """(k, 2) texture coordinates in texels."""
+    texture_triangles: NDArray[np.int32] | None
+    """(m, 3)."""
+    texture_known: NDArray[np.bool_] | None
+    """(h, w) texels with a colour."""
+
+
+def project(camera: Camera, vertices_world: NDArray, triangles: NDArray, *, margin_px: int = 2) -> Projection:
+    """Rasterise a mesh (n, 3), (m, 3) into the window of the view that it fills; an empty window where it is not seen."""
+    pixels, depth = camera.project(vertices_world)
+    window = _window(pixels, camera, margin_px)
+    shifted = pixels - (window.x0, window.y0)
+    return Projection(window, pixels, rasterise_pixels(shifted, depth, triangles, (window.width, window.height)))
+
+
+def shade(projection: Projection, triangles: NDArray, source: Source) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Grey levels (h, w) of the projected mesh in its window, and where they are known (bicubic look-ups)."""
+    shape = projection.raster.triangle.shape
+    image, known = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
+    raster = projection.raster
+    for picture, clear, pixels, corners, serves in (
+        (source.texture, source.texture_known, source.texture_pixels, source.texture_triangles, ~source.photograph_serves),
+        (source.photograph, source.photograph_clear, source.photograph_pixels, triangles, source.photograph_serves),
+    ):
+        if picture is not None and pixels is not None and serves.any():
+            _look_up(raster.triangle, raster.barycentric, corners, pixels, picture, clear, serves, image, known)
+    return image, known
+
+
+def visible_share(raster: Raster, pixels: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """(m,) share of each triangle's projected area that the z-buffer leaves to it; 0 for triangles turned away.
+
+    `pixels` (n, 2) are the projected vertices. Unlike a depth test this tells lips from the mouth right behind them.
+    """
+    hits = raster.triangle[raster.hit]
+    count = np.bincount(hits, minlength=len(triangles))
+    corners = pixels[triangles]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    # image y points down: outward faces have negative area
+    area = np.nan_to_num(-0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    return np.where(area > 0.5, np.minimum(count / np.maximum(area, 0.5), 1.0), 0.0)
+
+
+def visible_vertices(projection: Projection, triangles: NDArray, n_vertices: int) -> NDArray[np.bool_]:
+    """(n,) true where most triangles at a vertex are seen."""
+    local = projection.pixels - (projection.window.x0, projection.window.y0)
+    seen = visible_share(projection.raster, local, triangles) > 0.5
+    count = np.bincount(triangles.ravel(), minlength=n_vertices)
+    return np.bincount(triangles.ravel(), np.repeat(seen, 3), n_vertices) > 0.6 * np.maximum(count, 1)
+
+
+def _window(pixels: NDArray, camera: Camera, margin_px: int) -> Window:
+    finite = pixels[np.isfinite(pixels).all(1)]
+    if len(finite) == 0:
+        return Window(0, 0, 0, 0)
+    low = np.clip(np.floor(finite.min(0)) - margin_px, 0, camera.size).astype(int)
+    high = np.clip(np.ceil(finite.max(0)) + margin_px + 1, low, camera.size).astype(int)
+    return Window(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+
+
+@njit(cache=True, inline="always")
+def _cubic(t):
+    # Catmull-Rom
+    t2, t3 = t * t, t * t * t
+    return 0.5 * (-t3 + 2 * t2 - t), 0.5 * (3 * t3 - 5 * t2 + 2), 0.5 * (-3 * t3 + 4 * t2 + t), 0.5 * (t3 - t2)
+
+
+@njit(cache=True, error_model="numpy", fastmath=True)
+def _look_up(triangle, barycentric, corners, pixels, picture, clear, serves, image, known):
+    height, width = triangle.shape
+    rows, columns = picture.shape
+    for y in range(height):
+        for x in range(width):
+            f = triangle[y, x]
+            if f < 0 or not serves[f]:
+                continue
+            u, v = 0.0, 0.0
+            for k in range(3):
+                weight, corner = barycentric[y, x, k], corners[f, k]
+                u += weight * pixels[corner, 0]
+                v += weight * pixels[corner, 1]
+            left, top = int(np.floor(u)), int(np.floor(v))
+            if left < 1 or top < 1 or left > columns - 3 or top > rows - 3:
+                continue
+            if not clear[int(v + 0.5), int(u + 0.5)]:
+                continue
+            a0, a1, a2, a3 = _cubic(u - left)
+            b = _cubic(v - top)
+            total = 0.0
+            for j in range(4):
+                line = top - 1 + j
+                total += b[j] * (
+                    a0 * picture[line, left - 1]
+                    + a1 * picture[line, left]
+                    + a2 * picture[line, left + 1]
+                    + a3 * picture[line, left + 2]
+                )
+            image[y, x] = total
+            known[y, x] = True

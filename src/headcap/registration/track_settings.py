@@ -1,0 +1,41 @@
+"""Settings of the tracker."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from headcap.registration.correspondence import CorrespondenceSettings
+from headcap.registration.flow import FlowSettings
+from headcap.registration.graph import GraphSettings
+from headcap.registration.photometric import PhotometricSettings
+from headcap.registration.refine import RefineSettings
+
+
+class TrackSettings(BaseModel):
+    """Template, photographs and clouds to a mesh sequence."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    reference: Literal["own_photograph", "texture"] = Field(
+        "own_photograph",
+        description="Texture of the rendered template: each camera's own first photograph where it saw the surface, or the baked texture",
+    )
+    coarse_width_px: int = Field(270, description="Images are reduced to about this width (shorter side) for the coarse pass")
+    coarse_rounds: int = Field(2, description="Rounds of render, flow and graph per frame in the coarse pass")
+    coarse_refinements: int = Field(1, description="Surface-flow steps after the graph in the coarse pass")
+    fine_width_px: int = Field(
+        540, description="Images wider than this (shorter side) are reduced to it for the fine pass; 0 never"
+    )
+    fine_refinements: int = Field(3, description="Surface-flow steps per frame in the fine pass")
+    flow_robust_px: float = Field(
+        1.0, description="Scale of the robust weight of flow targets at the coarse image's resolution, pixels"
+    )
+    time_gap_frames: float = Field(
+        1.0, description="A camera without a photograph this near in time (in frame intervals) sits a frame out"
+    )
+    texture_size_px: int = Field(2048, description="Side of the baked texture")
+    flow: FlowSettings = Field(default_factory=lambda: FlowSettings(window_px=21))
+    correspondence: CorrespondenceSettings = Field(default_factory=CorrespondenceSettings)
+    graph: GraphSettings = Field(default_factory=GraphSettings)
+    photometric: PhotometricSettings = Field(default_factory=PhotometricSettings)
+    refine: RefineSettings = Field(default_factory=RefineSettings)
