@@ -61,7 +61,8 @@ def make_timeline(
 ) -> TakeTimeline:
     """The frames asked for, first and last; by default all up to the last that `min_cameras` cameras photographed.
 
-    A camera photographed a frame where it has a picture within one frame interval of it. Raises `InputError` where frames are asked for that too few cameras recorded.
+    A camera photographed a frame where it has a picture within one frame interval of it. Raises `InputError` where frames are
+    asked for that too few cameras recorded.
     """
     with open_take(take, offsets) as opened:
         timeline = opened.timeline()
