@@ -68,7 +68,9 @@ def read_board(path: Path | str) -> BoardSettings:
         return BoardSettings(**document)
     except (OSError, yaml.YAMLError, TypeError) as error:
         raise InputError(
-            f"{path.name}: {error}", expected="a YAML file describing the board", remedy="Write type, dictionary, squares and sizes."
+            f"{path.name}: {error}",
+            expected="a YAML file describing the board",
+            remedy="Write type, dictionary, squares and sizes.",
         ) from error
     except ValidationError as error:
         found = "; ".join(f"{'.'.join(map(str, e['loc'])) or 'board'}: {e['msg']}" for e in error.errors())

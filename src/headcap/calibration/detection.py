@@ -92,6 +92,52 @@ class _Sighting:
     velocity_px_s: Array
 
 
+class _Search:
+    """Which frames are searched: one per interval of common time, and one more where the board moves.
+
+    The additional frame follows one, two, ... frames later in turn. Cameras of one rate searched at fixed moments alone
+    always see the board at the same phases, and then a time offset cannot be told from an uneven motion.
+    """
+
+    def __init__(self, detector: BoardDetector, interval_s: float, start_s: float) -> None:
+        self.detector, self.interval_s, self.start_s = detector, interval_s, start_s
+        self.sightings: list[_Sighting] = []
+        self.searched, self.size = 0, (0, 0)
+        self.sample: list[Grey] = []
+        self._slot: int | None = None
+        self._visited, self._slot_began, self._more_at = -1, 0, -1
+        self._frames_per_slot, self._turn = 1, 0
+
+    def visit(self, before: Frame | None, now: Frame, after: Frame | None) -> None:
+        """Take the next frame and search it if it is one to search."""
+        self._visited += 1
+        self.size = now[2].shape[::-1]
+        slot = int(np.floor((now[1] + self.start_s) / self.interval_s + 1e-6))
+        if slot != self._slot:
+            self._frames_per_slot = max(1, self._visited - self._slot_began)
+            self._slot, self._slot_began = slot, self._visited
+            self._search_slot(before, now, after)
+        elif self._visited == self._more_at:
+            self._add(_Sighting(now[0], now[1], view := self.detector.detect(now[2]), np.full(view.pixels.shape, np.nan)))
+
+    def _search_slot(self, before: Frame | None, now: Frame, after: Frame | None) -> None:
+        self.searched += 1
+        if len(self.sample) < 24 and self.searched % 5 == 1:
+            self.sample.append(now[2])
+        view = self.detector.detect(now[2])
+        if not len(view.corner):
+            return
+        sighting = _measured(before, now, after, view, self.detector)
+        self._add(sighting)
+        if np.isnan(sighting.velocity_px_s).any() and self._frames_per_slot > 1:
+            self._more_at = self._visited + 1 + self._turn % (self._frames_per_slot - 1)
+            self._turn += 1
+
+    def _add(self, sighting: _Sighting) -> None:
+        if len(sighting.view.corner):
+            self.sightings.append(sighting)
+
+
 class BoardDetector:
     """Finds one board in grey images."""
 
@@ -265,22 +311,13 @@ def detect_recording(
     if isinstance(frames, (str, Path)):
         interval_s = max(interval_s, _duration_s(frames) / settings.max_frames)
         frames = luma_frames(frames)
-    detector = BoardDetector(board, settings)
-    sightings, searched, size, sample, slot = [], 0, (0, 0), [], None
+    search = _Search(BoardDetector(board, settings), interval_s, start_s)
     for before, now, after in _with_neighbours(_retimed(frames, times_s)):
-        size = now[2].shape[::-1]
-        if (new_slot := int(np.floor((now[1] + start_s) / interval_s + 1e-6))) == slot:
-            continue
-        slot, searched = new_slot, searched + 1
-        if len(sample) < 24 and searched % 5 == 1:
-            sample.append(now[2])
-        view = detector.detect(now[2])
-        if len(view.corner):
-            sightings.append(_measured(before, now, after, view, detector))
-    check_board(sample, board, camera)
-    if size == (0, 0):
+        search.visit(before, now, after)
+    check_board(search.sample, board, camera)
+    if search.size == (0, 0):
         raise InputError(f"{camera}: no frames", expected="a recording of the board", remedy="Record the board again.")
-    return _packed(camera, size, searched, sightings)
+    return _packed(camera, search.size, search.searched, search.sightings)
 
 
 def _retimed(frames: Iterable[Frame], times_s: Array | None) -> Iterator[Frame]:
@@ -315,7 +352,8 @@ def _measured(before: Frame | None, now: Frame, after: Frame | None, view: Board
 def _packed(camera: str, size: tuple[int, int], searched: int, sightings: list[_Sighting]) -> CameraDetections:
     counts = [len(s.view.corner) for s in sightings]
     velocities = [
-        s.velocity_px_s if np.isfinite(s.velocity_px_s).all() else _velocity_between(sightings, i) for i, s in enumerate(sightings)
+        s.velocity_px_s if np.isfinite(s.velocity_px_s).all() else _velocity_between(sightings, i)
+        for i, s in enumerate(sightings)
     ]
     stack = lambda parts, width: np.concatenate(parts) if parts else np.empty((0, width))  # noqa: E731
     return CameraDetections(

@@ -22,9 +22,7 @@ Array = NDArray[np.float64]
 def board_pose(lens: Lens, view: BoardView, corners: Array) -> tuple[Array, float]:
     """camera_from_board (4, 4) of one view and its rms residual in pixels (IPPE, both solutions refined)."""
     points, pixels = corners[view.corner], view.pixels.astype(float)
-    found, rotations, translations, _ = cv2.solvePnPGeneric(
-        points, pixels, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE
-    )
+    found, rotations, translations, _ = cv2.solvePnPGeneric(points, pixels, lens.matrix, lens.distortion, flags=cv2.SOLVEPNP_IPPE)
     best, best_rms = np.eye(4), np.inf
     for rotation, translation in zip(rotations[:found], translations[:found], strict=True):
         rotation, translation = cv2.solvePnPRefineLM(points, pixels, lens.matrix, lens.distortion, rotation, translation)
@@ -50,9 +48,7 @@ def start_poses(
     return camera_from_rig, [_agreed_board_pose(seen, camera_from_rig) for seen in single]
 
 
-def joined_board_pose(
-    pose: BoardPose, lenses: Mapping[str, Lens], camera_from_rig: Mapping[str, Array], corners: Array
-) -> Array:
+def joined_board_pose(pose: BoardPose, lenses: Mapping[str, Lens], camera_from_rig: Mapping[str, Array], corners: Array) -> Array:
     """rig_from_board (4, 4) of one pose, from the view of it that agrees with most others."""
     return _agreed_board_pose({c: board_pose(lenses[c], view, corners) for c, view in pose.views.items()}, camera_from_rig)
 
