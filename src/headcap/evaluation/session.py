@@ -152,7 +152,8 @@ def evaluate_session(
         figures += _figures(comparison.calibrate(), session.name, None, settings)
         for take in takes:
             figures += compare_take(comparison, take)
-    return figures
+    # what is measured here goes before what a stage said of itself
+    return list({(figure.name, figure.take): figure for figure in figures}.values())
 
 
 def measure_take(session: SessionFolder, take: str, settings: EvaluateSettings) -> dict[str, float]:
@@ -184,6 +185,8 @@ def stated_figures(session: SessionFolder, takes: Iterable[str], settings: Evalu
     found: dict[tuple[str, str | None], float] = {}
     for path in sorted(session.folder.rglob("*.manifest.json")):
         manifest = Manifest.load(path)
+        if manifest.stage in ("evaluate", "report"):
+            continue  # they repeat what the stages said
         parts = {part.split(".")[0] for part in path.relative_to(session.folder).parts}
         take = next((take for take in takes if take in parts), None)
         for name, value in manifest.figures.items():

@@ -25,13 +25,13 @@ _UNKNOWN = (178, 178, 178)
 
 
 def viewport(camera: Camera, box: tuple[float, float, float, float], height: int) -> Camera:
-    """The camera that photographs a pixel box (left, top, right, bottom) of another one at `height` pixels."""
+    """The camera that photographs a box (left, top, right, bottom: edges, in pixels) of another one at `height` pixels."""
     left, top, right, bottom = box
     factor = height / (bottom - top)
     matrix = camera.matrix.copy()
     matrix[:2] *= factor
-    # integer coordinates are pixel centres: the box's edge lies half a pixel before its first pixel's centre
-    matrix[:2, 2] = (camera.matrix[:2, 2] - (left, top) + 0.5) * factor - 0.5
+    # integer coordinates are pixel centres: an image's edge lies half a pixel before its first pixel's centre
+    matrix[:2, 2] = (camera.matrix[:2, 2] - (left, top)) * factor - 0.5
     return replace(camera, matrix=matrix, width=max(1, round((right - left) * factor)), height=height)
 
 
@@ -40,7 +40,7 @@ def crop(photograph: Image, box: tuple[float, float, float, float], size: tuple[
     left, top, right, bottom = box
     width, height = size
     factor = np.array([width / (right - left), height / (bottom - top)])
-    shift = (0.5 - np.array([left, top])) * factor - 0.5
+    shift = -np.array([left, top]) * factor - 0.5
     matrix = np.array([[factor[0], 0, shift[0]], [0, factor[1], shift[1]]])
     # area averaging where the picture shrinks: linear sampling alone would alias
     if factor.min() < 0.7:
@@ -50,7 +50,10 @@ def crop(photograph: Image, box: tuple[float, float, float, float], size: tuple[
 
 
 def box_of(camera: Camera, points: NDArray, *, margin: float = 0.06, aspect: float | None = None) -> tuple:
-    """Pixel box (left, top, right, bottom) around projected points (n, 3), widened to an aspect of width over height."""
+    """Pixel box (left, top, right, bottom) around projected points (n, 3).
+
+    Widened to an aspect of width over height as far as the image reaches.
+    """
     pixels = camera.project(np.asarray(points, float))[0]
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
     (left, top), (right, bottom) = pixels.min(axis=0), pixels.max(axis=0)
@@ -63,7 +66,7 @@ def box_of(camera: Camera, points: NDArray, *, margin: float = 0.06, aspect: flo
         middle = (left + right) / 2, (top + bottom) / 2
         left, right = middle[0] - width / 2, middle[0] + width / 2
         top, bottom = middle[1] - height / 2, middle[1] + height / 2
-    return left, top, right, bottom
+    return max(left, -0.5), max(top, -0.5), min(right, camera.width - 0.5), min(bottom, camera.height - 0.5)
 
 
 def draw_points(image: Image, camera: Camera, points: NDArray, colours: NDArray[np.uint8], *, radius: float = 0.8) -> Image:
