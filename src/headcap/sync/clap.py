@@ -24,13 +24,22 @@ class Onset:
     """Energy behind the onset over energy before, at most 40 dB."""
 
 
-def onset_strength_db(samples: NDArray, rate_hz: int, settings: SyncSettings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Energy jump at each sample (n,) in dB, at least 0, and the energy behind it (n,), both above `highpass_hz`.
+def clap_energy(samples: NDArray, rate_hz: int, settings: SyncSettings) -> NDArray[np.float64]:
+    """Square of the samples (n,) above `highpass_hz`, by a causal filter: nothing of a clap appears before it."""
+    if len(samples) == 0:
+        return np.zeros(0)
+    corner_hz = min(settings.highpass_hz, 0.25 * rate_hz)
+    filtered = sosfilt(butter(4, corner_hz, "highpass", fs=rate_hz, output="sos"), np.asarray(samples, np.float64))
+    return filtered**2
+
+
+def onset_strength_db(energy: NDArray, rate_hz: int, settings: SyncSettings) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Energy jump at each sample (n,) in dB, at least 0, and where the sound behind it is not weak beside the loudest (n,).
 
     Where less than `min_background_s` of sound lies before a sample the jump is 0: a recording may begin in a sound.
     """
-    corner_hz = min(settings.highpass_hz, 0.25 * rate_hz)
-    energy = sosfilt(butter(4, corner_hz, "highpass", fs=rate_hz, output="sos"), np.asarray(samples, np.float64)) ** 2
+    if len(energy) == 0:
+        return np.zeros(0), np.zeros(0, bool)
     total = np.concatenate([[0.0], np.cumsum(energy)])
     n = np.arange(len(energy))
     end = np.minimum(n + max(round(settings.attack_s * rate_hz), 1), len(energy))
@@ -38,10 +47,10 @@ def onset_strength_db(samples: NDArray, rate_hz: int, settings: SyncSettings) ->
     behind = (total[end] - total[n]) / np.maximum(end - n, 1)
     before = (total[n] - total[begin]) / np.maximum(n - begin, 1)
     # 90 dB under the loudest counts as silence, so that digital zeros do not make every tick a clap
-    floor = max(float(behind.max(initial=0.0)) * 1e-9, 1e-16)
+    floor = max(float(behind.max()) * 1e-9, 1e-16)
     jump_db = np.maximum(10 * np.log10((behind + floor) / (np.maximum(before, 0) + floor)), 0.0)
     jump_db[: min(round(settings.min_background_s * rate_hz), len(jump_db))] = 0.0
-    return jump_db, behind
+    return jump_db, behind > behind.max() * 10 ** (-settings.onset_below_loudest_db / 10)
 
 
 def find_claps(samples: NDArray, rate_hz: int, start_s: float, settings: SyncSettings | None = None) -> tuple[Onset, ...]:
@@ -51,22 +60,37 @@ def find_claps(samples: NDArray, rate_hz: int, start_s: float, settings: SyncSet
     cameras.
     """
     settings = settings or SyncSettings()
-    jump_db, behind = onset_strength_db(samples, rate_hz, settings)
-    loud = behind > behind.max(initial=0.0) * 10 ** (-settings.onset_below_loudest_db / 10)
+    energy = clap_energy(samples, rate_hz, settings)
+    jump_db, loud = onset_strength_db(energy, rate_hz, settings)
     candidates = np.flatnonzero(loud & (jump_db > settings.onset_jump_db))
     hold, found = round(settings.onset_hold_s * rate_hz), []
     for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > hold) + 1):
         if len(group):
-            best = group[np.argmax(jump_db[group])]
-            first = _rise(jump_db, int(best), rate_hz, settings)
+            best = int(group[np.argmax(jump_db[group])])
+            first = _pick(energy, _rise(jump_db, best, rate_hz), rate_hz, settings)
             found.append(Onset(float(start_s + first / rate_hz), min(float(jump_db[best]), STRONGEST_DB)))
     return tuple(found)
 
 
-def _rise(jump_db: NDArray, peak: int, rate_hz: int, settings: SyncSettings) -> int:
-    """Sample at which the sound that peaks in `jump_db` begins: some claps come with a weaker touch just before."""
+def _rise(jump_db: NDArray, peak: int, rate_hz: int) -> int:
+    """First sample before a peak of the jump that is nearly as strong: some claps come with a weaker touch just before."""
     begin = max(peak - round(RISE_S * rate_hz), 0)
-    enough = max(settings.onset_jump_db, RISE_SHARE * float(jump_db[peak]))
-    first = begin + int(np.argmax(jump_db[begin : peak + 1] >= enough))
-    # the energy behind a sample reaches `attack_s` ahead, so the jump is seen that much before the sound
-    return min(first + round(settings.attack_s * rate_hz), peak)
+    return begin + int(np.argmax(jump_db[begin : peak + 1] >= RISE_SHARE * jump_db[peak]))
+
+
+def _pick(energy: NDArray, rise: int, rate_hz: int, settings: SyncSettings) -> int:
+    """Sample at which the energy's level changes, near a rise of the jump (Akaike's criterion, Maeda 1985).
+
+    The jump looks `attack_s` ahead, so the sound begins up to that much behind its rise. The criterion finds the direct
+    sound even where a louder echo follows within milliseconds.
+    """
+    attack = round(settings.attack_s * rate_hz)
+    low, high = max(rise - attack, 0), min(rise + attack + attack // 2, len(energy))
+    part = energy[low:high] + 1e-9 * float(energy[low:high].max())
+    n, total = len(part), np.cumsum(part)
+    split = np.arange(8, n - 8)
+    if len(split) == 0:
+        return rise
+    left = split * np.log(total[split - 1] / split)
+    right = (n - split) * np.log((total[-1] - total[split - 1]) / (n - split))
+    return low + int(split[np.argmin(left + right)])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from headcap.sync.clap import find_claps, onset_strength_db
+from headcap.sync.clap import STRONGEST_DB, Onset, clap_energy, find_claps, onset_strength_db
 from headcap.sync.pairs import from_pair_medians
 from headcap.sync.settings import SyncSettings
 
@@ -44,7 +44,7 @@ def find_events(sounds: list[Sound], settings: SyncSettings) -> list[Event]:
     event.
     """
     shifts = coarse_alignment(sounds, settings)
-    onsets = [find_claps(sound.samples, sound.rate_hz, sound.start_s, settings) for sound in sounds]
+    onsets = sudden_sounds(sounds, settings)
     listed = [(onset.time_s - shifts[c], c, onset) for c, found in enumerate(onsets) for onset in found]
     listed.sort(key=lambda entry: entry[0])
     events, least = [], max(2, round(settings.least_cameras_share * len(sounds)))
@@ -54,6 +54,11 @@ def find_events(sounds: list[Sound], settings: SyncSettings) -> list[Event]:
         if len(cluster) >= least:
             events.append(_event(cluster, shifts))
     return sorted(events, key=lambda event: -event.score)
+
+
+def sudden_sounds(sounds: list[Sound], settings: SyncSettings) -> list[tuple[Onset, ...]]:
+    """`find_claps` of each sound."""
+    return [find_claps(sound.samples, sound.rate_hz, sound.start_s, settings) for sound in sounds]
 
 
 def coarse_alignment(sounds: list[Sound], settings: SyncSettings) -> Array:
@@ -78,10 +83,9 @@ def coarse_alignment(sounds: list[Sound], settings: SyncSettings) -> Array:
 
 
 def _sampled_strength(sound: Sound, settings: SyncSettings) -> Array:
-    """Onset strength above the threshold at coarse steps: the largest in each step, spread over its neighbours."""
-    jump_db, behind = onset_strength_db(sound.samples, sound.rate_hz, settings)
-    loud = behind > behind.max(initial=0.0) * 10 ** (-settings.onset_below_loudest_db / 10)
-    strong = np.where(loud, np.maximum(np.minimum(jump_db, 40.0) - settings.onset_jump_db / 2, 0), 0)
+    """Onset strength above half the threshold at coarse steps: the largest in each step, spread over its neighbours."""
+    jump_db, loud = onset_strength_db(clap_energy(sound.samples, sound.rate_hz, settings), sound.rate_hz, settings)
+    strong = loud * np.maximum(np.minimum(jump_db, STRONGEST_DB) - settings.onset_jump_db / 2, 0)
     width = max(round(settings.coarse_step_s * sound.rate_hz), 1)
     steps = np.pad(strong, (0, -len(strong) % width)).reshape(-1, width).max(axis=1)
     return np.convolve(steps, [0.5, 1.0, 0.5], mode="same")

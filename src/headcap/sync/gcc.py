@@ -8,6 +8,8 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 # a frequency this far under the strongest carries no phase worth counting
 FLOOR = 1e-3
+# weight of lags far from those expected
+FAR_LAGS = 0.3
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,13 @@ def delay_of_spectra(
     max_lag_s: float,
     band_hz: tuple[float, float],
     upsampling: int = 8,
+    expected_within_s: float | None = None,
 ) -> Delay:
-    """`gcc_phat` of spectra made by `spectrum(..., size)`, so that all pairs of many sounds share them."""
+    """`gcc_phat` of spectra made by `spectrum(..., size)`, so that all pairs of many sounds share them.
+
+    `expected_within_s` favours lags near zero: a peak much farther off (an echo, where the direct sound is weak) must be
+    several times as high to be taken.
+    """
     frequency_hz = rfftfreq(size, 1 / rate_hz)
     inside = (frequency_hz >= band_hz[0]) & (frequency_hz <= min(band_hz[1], 0.45 * rate_hz))
     cross = second * first.conj()
@@ -55,7 +62,11 @@ def delay_of_spectra(
     step_s = 1 / (rate_hz * upsampling)
     reach = min(round(max_lag_s / step_s), len(correlation) // 2 - 1)
     around = np.concatenate([correlation[-reach:], correlation[: reach + 1]])
-    peak = int(around.argmax())
+    favour = 1.0
+    if expected_within_s is not None:
+        lags_s = step_s * np.arange(-reach, reach + 1)
+        favour = FAR_LAGS + (1 - FAR_LAGS) * np.exp(-0.5 * (lags_s / expected_within_s) ** 2)
+    peak = int((around * favour).argmax())
     lag = peak - reach + _parabola(around, peak)
     return Delay(float(lag * step_s), float(np.clip(around[peak], 0, 1)))
 

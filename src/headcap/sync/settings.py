@@ -26,6 +26,8 @@ class SyncSettings(BaseModel):
     window_before_s: float = Field(0.010, gt=0, description="sound before the onset that enters the delay estimate")
     window_after_s: float = Field(0.050, gt=0, description="sound behind the onset that enters the delay estimate")
     max_lag_s: float = Field(0.015, gt=0, description="largest error of an onset that the delay estimate mends")
+    onset_error_s: float = Field(0.0015, gt=0, description="usual error of an onset; lags far beyond it are taken for echoes")
+    least_sharpness: float = Field(0.2, ge=0, le=1, description="correlation below which two sounds are not the same event")
     upsampling: int = Field(8, ge=1, description="of the correlation, before the parabola through its peak")
     band_hz: tuple[float, float] = Field(
         (300.0, 16000.0), description="frequencies used for delays; lossy codecs drop what is above"

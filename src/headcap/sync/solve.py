@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from headcap.errors import InputError, InputErrors
+from headcap.sync.clap import find_claps
 from headcap.sync.events import Event, Sound, find_events
-from headcap.sync.gcc import delay_of_spectra, spectrum
+from headcap.sync.gcc import Delay, delay_of_spectra, spectrum
 from headcap.sync.offsets import TimeOffsets
 from headcap.sync.pairs import from_pair_medians, residuals, solve_pairs
 from headcap.sync.settings import SyncSettings
@@ -105,34 +106,78 @@ def synchronise(
 
 
 def arrive(sounds: list[Sound], event: Event, settings: SyncSettings) -> Arrivals:
-    """Own arrival times of one event to microseconds: GCC-PHAT of all pairs, robust least squares over them."""
-    rate_hz = sounds[0].rate_hz
-    if any(sound.rate_hz != rate_hz for sound in sounds):
+    """Own arrival times of one event to microseconds: GCC-PHAT of all pairs, robust least squares over them.
+
+    A camera whose sound there is unlike the others' (it was aligned to a sound that only it heard) is tried at its other
+    onsets first.
+    """
+    if len({sound.rate_hz for sound in sounds}) > 1:
         raise ValueError(f"sounds of one rate, got {sorted({sound.rate_hz for sound in sounds})} Hz")
-    cuts = [_cut(sound, time_s, settings) for sound, time_s in zip(sounds, event.own_time_s, strict=True)]
-    size = next_fast_len(2 * max(len(samples) for samples, _ in cuts), real=True)
-    spectra = [spectrum(samples, size) for samples, _ in cuts]
-    n = len(sounds)
-    differences, weights = np.full((n, n), np.nan), np.zeros((n, n))
-    limits = {"max_lag_s": settings.max_lag_s, "band_hz": settings.band_hz, "upsampling": settings.upsampling}
-    for i in range(n):
-        differences[i, i] = 0.0
-        for j in range(i + 1, n):
-            delay = delay_of_spectra(spectra[i], spectra[j], size, rate_hz, **limits)
-            if delay.sharpness > 0:
-                differences[i, j] = cuts[j][1] - cuts[i][1] + delay.lag_s
-                differences[j, i] = -differences[i, j]
-                weights[i, j] = weights[j, i] = delay.sharpness**2
-    values = solve_pairs(differences, weights, from_pair_medians(differences), settings.pair_scale_s)
+    own_s = event.own_time_s.copy()
+    cuts = [_cut(sound, time_s, settings) for sound, time_s in zip(sounds, own_s, strict=True)]
+    differences, sharpness = _pair_delays(cuts, settings)
+    if _retry_unlike(sounds, own_s, cuts, sharpness, settings):
+        differences, sharpness = _pair_delays(cuts, settings)
+    alike = sharpness >= settings.least_sharpness
+    differences[~alike & ~np.eye(len(sounds), dtype=bool)] = np.nan
+    values = solve_pairs(differences, np.where(alike, sharpness**2, 0.0), from_pair_medians(differences), settings.pair_scale_s)
     residual = residuals(differences, values)
     np.fill_diagonal(residual, np.nan)
-    agreement = (np.abs(residual) < settings.pair_tolerance_s).sum(axis=1) / max(n - 1, 1)
+    agreement = (np.abs(residual) < settings.pair_tolerance_s).sum(axis=1) / max(len(sounds) - 1, 1)
     # the values are free by a constant: set it by the onsets, which only names the moment
-    return Arrivals(values + float(np.median(event.own_time_s - values)), residual, agreement)
+    return Arrivals(values + float(np.median(own_s - values)), residual, agreement)
 
 
-def _cut(sound: Sound, time_s: float, settings: SyncSettings) -> tuple[Array, float]:
-    """Sound around a time, faded at both ends, always of one length (silence beyond the file); own time of its start."""
+def _pair_delays(cuts: list[Cut], settings: SyncSettings) -> tuple[Array, Array]:
+    """Own time differences (n, n) of an event, second minus first, and the sharpness of each pair's correlation."""
+    spectra, n = [_spectrum(cut) for cut in cuts], len(cuts)
+    differences, sharpness = np.zeros((n, n)), np.zeros((n, n))
+    for i in range(n):
+        for j in range(i + 1, n):
+            delay = _delay(cuts[i], spectra[i], spectra[j], settings)
+            differences[i, j] = cuts[j].start_s - cuts[i].start_s + delay.lag_s
+            differences[j, i], sharpness[i, j] = -differences[i, j], delay.sharpness
+    return differences, sharpness + sharpness.T
+
+
+def _retry_unlike(sounds: list[Sound], own_s: Array, cuts: list[Cut], sharpness: Array, settings: SyncSettings) -> bool:
+    """Move cameras unlike the others to their most alike onset, in place; whether any was moved."""
+    n, moved = len(sounds), False
+    typical = np.array([np.median(np.delete(sharpness[c], c)) for c in range(n)])
+    like = np.flatnonzero(typical >= settings.least_sharpness)
+    for c in np.flatnonzero(typical < settings.least_sharpness) if len(like) else ():
+        onsets = find_claps(sounds[c].samples, sounds[c].rate_hz, sounds[c].start_s, settings)
+        best = settings.least_sharpness
+        for onset in onsets:
+            cut = _cut(sounds[c], onset.time_s, settings)
+            there = _spectrum(cut)
+            found = float(np.median([_delay(cut, there, _spectrum(cuts[k]), settings).sharpness for k in like]))
+            if found > best:
+                best, own_s[c], cuts[c], moved = found, onset.time_s, cut, True
+    return moved
+
+
+def _spectrum(cut: Cut) -> NDArray[np.complex128]:
+    return spectrum(cut.samples, next_fast_len(2 * len(cut.samples), real=True))
+
+
+def _delay(cut: Cut, first: NDArray, second: NDArray, settings: SyncSettings) -> Delay:
+    size = next_fast_len(2 * len(cut.samples), real=True)
+    limits = {"max_lag_s": settings.max_lag_s, "band_hz": settings.band_hz, "upsampling": settings.upsampling}
+    return delay_of_spectra(first, second, size, cut.rate_hz, expected_within_s=settings.onset_error_s, **limits)
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A short piece of one camera's sound."""
+
+    samples: Array
+    rate_hz: int
+    start_s: float
+
+
+def _cut(sound: Sound, time_s: float, settings: SyncSettings) -> Cut:
+    """Sound around a time, faded at both ends, always of one length (silence beyond the file)."""
     rate = sound.rate_hz
     first = round((time_s - sound.start_s - settings.window_before_s) * rate)
     length = round((settings.window_before_s + settings.window_after_s) * rate)
@@ -144,7 +189,7 @@ def _cut(sound: Sound, time_s: float, settings: SyncSettings) -> tuple[Array, fl
     rise, fall = round(0.2 * settings.window_before_s * rate), round(0.4 * settings.window_after_s * rate)
     taken[:rise] *= np.sin(np.linspace(0, np.pi / 2, rise)) ** 2
     taken[length - fall :] *= np.cos(np.linspace(0, np.pi / 2, fall)) ** 2
-    return taken, sound.start_s + first / rate
+    return Cut(taken, rate, sound.start_s + first / rate)
 
 
 def _claps(events: list[Event], settings: SyncSettings) -> list[Event]:
