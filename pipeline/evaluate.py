@@ -1,1 +1,49 @@
-"""."""
+"""Everything a session made to its figures, against truth where there is some."""
+
+from pathlib import Path
+
+from headcap.artifacts import digest_settings, write_manifest
+from headcap.calibration.result import CalibrationResult
+from headcap.evaluation.metrics import save_metrics
+from headcap.evaluation.session import SessionFolder, evaluate_session
+from headcap.evaluation.settings import EvaluateSettings
+from headcap.evaluation.truth import Truth
+
+
+def run(
+    *,
+    rig: Path,
+    template: Path,
+    ingested: list[Path],
+    offsets: list[Path],
+    timelines: list[Path],
+    clouds: list[Path],
+    starts: list[Path],
+    sequences: list[Path],
+    metrics: Path,
+    takes: list[str],
+    truth: Path | None,
+    settings: EvaluateSettings,
+) -> None:
+    figures = evaluate_session(
+        SessionFolder(metrics.parent),
+        takes,
+        rig=CalibrationResult.load(rig).rig,
+        truth=Truth(truth) if truth else None,
+        settings=settings,
+    )
+    save_metrics(metrics, figures)
+    write_manifest(
+        metrics,
+        kind="metrics",
+        stage="evaluate",
+        settings_digest=digest_settings(settings=settings),
+        inputs=[rig, template, *ingested, *offsets, *timelines, *clouds, *starts, *sequences],
+        figures={},
+    )
+
+
+if "snakemake" in globals():
+    from adapter import run_rule
+
+    run_rule(run, snakemake)  # noqa: F821

@@ -5,8 +5,6 @@ INPUTS:   detections = results/{session}/calibrate/detections/{camera}.npz of ea
           offsets    = results/{session}/sync/board/sound.json
 OUTPUTS:  rig     = results/{session}/calibrate/rig.json
           timing  = results/{session}/calibrate/timing.json, start times of the board's recordings by the board's motion
-          figures = results/{session}/calibrate/figures.json
-          colmap  = results/{session}/calibrate/colmap/{cameras,images,points3D}.txt
 """
 
 
@@ -18,7 +16,6 @@ rule calibrate:
     output:
         rig="results/{session}/calibrate/rig.json",
         timing="results/{session}/calibrate/timing.json",
-        figures="results/{session}/calibrate/figures.json",
     log:
         "results/{session}/logs/calibrate.log",
     benchmark:
@@ -27,9 +24,9 @@ rule calibrate:
         mem_mb=1500,
     params:
         board=board,
-        cameras=setting("cameras"),
+        intrinsics=intrinsics,
         allow=setting("allow"),
-        settings=setting("calibrate"),
+        settings=calibrate_setting,
         source=source("calibrate"),
     script:
         "../pipeline/calibrate.py"

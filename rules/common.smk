@@ -221,6 +221,29 @@ def detections(wildcards):
     ]
 
 
+def intrinsics(wildcards):
+    """Lenses that the session file gives, by camera."""
+    described = session_of(wildcards).cameras
+    return {
+        camera.name: camera.intrinsics.model_dump(mode="json")
+        for camera in described
+        if camera.intrinsics
+    }
+
+
+def calibrate_setting(wildcards):
+    """Settings of calibrate, with the session's own limits of its gates."""
+    settings = setting("calibrate")(wildcards)
+    own = {
+        figure.removeprefix("calibrate."): limit
+        for figure, limit in session_of(wildcards).limits.items()
+    }
+    return settings | {
+        "limits": settings["limits"]
+        | {name: own[name] for name in settings["limits"] if name in own}
+    }
+
+
 def masks(wildcards):
     session, take = session_of(wildcards), session_of(wildcards).recorded(
         wildcards.take
@@ -233,7 +256,6 @@ def session_results(wildcards):
     folder, names = f"results/{wildcards.session}", takes(wildcards)
     return {
         "rig": f"{folder}/calibrate/rig.json",
-        "calibration": f"{folder}/calibrate/figures.json",
         "template": f"{folder}/register/template.npz",
         "ingested": [f"{folder}/ingest/{take}.json" for take in names],
         "offsets": [f"{folder}/sync/{take}.json" for take in names],

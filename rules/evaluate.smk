@@ -19,10 +19,8 @@ rule evaluate:
     resources:
         mem_mb=2500,
     params:
-        session="{session}",
         truth=truth,
         takes=takes,
-        described=scan_setting,
         settings=evaluate_setting,
         source=source("evaluate"),
     script:

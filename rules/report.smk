@@ -2,7 +2,8 @@
 One page per session: figures, gates, pictures of every stage.
 
 INPUTS:   results of all stages and takes, metrics = results/{session}/metrics.json
-OUTPUTS:  report = results/{session}/report/report.html
+OUTPUTS:  report  = results/{session}/report/report.html
+          summary = results/{session}/report/summary.png, one line of pictures per take
 """
 
 
@@ -13,15 +14,17 @@ rule report:
         metrics="results/{session}/metrics.json",
     output:
         report="results/{session}/report/report.html",
+        summary="results/{session}/report/summary.png",
     log:
         "results/{session}/logs/report.log",
     benchmark:
         "results/{session}/benchmarks/report.tsv"
     resources:
-        mem_mb=2000,
+        mem_mb=2500,
     params:
-        session="{session}",
         takes=takes,
+        board=board,
+        truth=truth,
         settings=described_session,
         source=source("report"),
     script:

@@ -5,7 +5,7 @@ INPUTS:   template = results/{session}/register/template.npz
           clouds   = results/{session}/reconstruct/{take}/chunk_{chunk}.json
           ingested, offsets, timeline, rig of the take
 OUTPUTS:  start    = results/{session}/track/{take}/start.npz, the template on the first frame, textured by all cameras
-          anchors  = results/{session}/track/{take}/anchors.npz, frames from which chunks start
+          anchors  = results/{session}/track/{take}/anchors.npz, the coarse trajectory from which chunks start
           chunk    = results/{session}/track/{take}/chunk_{chunk}.npy
           sequence = results/{session}/track/{take}/sequence.json
 """
@@ -35,10 +35,35 @@ rule track_start:
         "../pipeline/track_start.py"
 
 
+rule track_anchors:
+    """The coarse trajectory of a whole take, from which its chunks start."""
+    input:
+        start="results/{session}/track/{take}/start.npz",
+        clouds=clouds,
+        ingested="results/{session}/ingest/{take}.json",
+        offsets="results/{session}/sync/{take}.json",
+        timeline="results/{session}/sync/{take}.timeline.json",
+        rig="results/{session}/calibrate/rig.json",
+    output:
+        anchors="results/{session}/track/{take}/anchors.npz",
+    log:
+        "results/{session}/logs/track/{take}_anchors.log",
+    benchmark:
+        "results/{session}/benchmarks/track/{take}_anchors.tsv"
+    resources:
+        mem_mb=3000,
+    params:
+        settings=setting("track"),
+        source=source("track_anchors"),
+    script:
+        "../pipeline/track_anchors.py"
+
+
 rule track:
     """Meshes of a chunk of frames."""
     input:
         start="results/{session}/track/{take}/start.npz",
+        anchors="results/{session}/track/{take}/anchors.npz",
         clouds=chunk_clouds,
         ingested="results/{session}/ingest/{take}.json",
         offsets="results/{session}/sync/{take}.json",
@@ -74,7 +99,6 @@ rule collect:
     resources:
         mem_mb=1000,
     params:
-        take="{take}",
         source=source("collect"),
     script:
         "../pipeline/collect.py"

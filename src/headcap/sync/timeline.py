@@ -44,6 +44,10 @@ class TakeTimeline:
         arrays = {"frames": np.array(content.pop("frames"), np.int64), "time_s": np.array(content.pop("time_s"))}
         return cls(**content, **arrays)
 
+    def span(self, first: int, count: int) -> tuple[int, int]:
+        """First and last position of at most `count` frames from position `first` on."""
+        return first, min(first + count, len(self)) - 1
+
     def part(self, first: int, count: int) -> TakeTimeline:
         """The frames from position `first` on, at most `count` of them."""
         chosen = slice(first, first + count)
