@@ -1,0 +1,8 @@
+"""Results in the files of other programs: OBJ, GLB, PC2 point caches and npz arrays."""
+
+from headcap.export.arrays import write_npz
+from headcap.export.gltf import write_glb
+from headcap.export.obj import write_obj
+from headcap.export.pc2 import PointCache, read_pc2, write_pc2
+
+__all__ = ["PointCache", "read_pc2", "write_glb", "write_npz", "write_obj", "write_pc2"]
