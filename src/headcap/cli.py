@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     export = add("export", _export, "Write a rig or a mesh sequence in another program's format.")
     export.add_argument("source", type=Path, help="rig.json or sequence.json")
     export.add_argument("target", type=Path, help="file or folder to write")
-    export.add_argument("--format", required=True, help="name of the format; `help` lists them")
+    export.add_argument("--format", required=True, choices=("npz", "pc2", "obj", "glb"), help="of a sequence")
     export.add_argument("--template", type=Path, help="template or start.npz whose triangles a sequence has")
 
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
@@ -116,9 +116,9 @@ def _provenance(options: argparse.Namespace) -> int:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from headcap.export import export_artifact
+    from headcap.workflow.convert import convert
 
-    written = export_artifact(options.source, options.target, options.format, template=options.template)
+    written = convert(options.source, options.target, options.format, template=options.template)
     print(f"wrote {written}")
     return 0
 

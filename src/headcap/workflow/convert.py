@@ -1,0 +1,42 @@
+"""`headcap export`: which writer serves an artifact and a format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from headcap.artifacts import ArtifactError
+from headcap.errors import InputError
+from headcap.export import write_glb, write_npz, write_obj, write_pc2
+from headcap.registration.sequence import MeshSequence
+from headcap.registration.template import Template
+
+SEQUENCE_FORMATS = ("npz", "pc2", "obj", "glb")
+
+
+def convert(source: Path, target: Path, form: str, *, template: Path | None = None) -> Path:
+    """Write a mesh sequence to `target` in a format by name; returns `target`.
+
+    obj and glb are one file per frame in the folder `target`. `template` gives the topology of a sequence; by default
+    the start.npz beside it. Raises `InputError` for an unknown format.
+    """
+    if form not in SEQUENCE_FORMATS:
+        remedy = "Name one of them."
+        raise InputError(f"format {form!r}", expected=f"one of {', '.join(SEQUENCE_FORMATS)}", remedy=remedy)
+    sequence = MeshSequence.load(source)
+    if form == "pc2":
+        write_pc2(target, sequence)
+    elif form == "npz":
+        write_npz(target, _template_of(source, template), sequence)
+    else:
+        writer = {"obj": write_obj, "glb": write_glb}[form]
+        topology = _template_of(source, template)
+        for number, positions in enumerate(sequence):
+            writer(target / f"frame_{number:06d}.{form}", topology, positions)
+    return target
+
+
+def _template_of(sequence: Path, template: Path | None) -> Template:
+    path = template or sequence.with_name("start.npz")
+    if not path.is_file():
+        raise ArtifactError(f"{path} is not there; name the template of {sequence} with --template")
+    return Template.load(path)
