@@ -10,6 +10,7 @@ from headcap.sync.settings import SyncSettings
 
 # stronger jumps say no more about the event, only about how silent it was before
 STRONGEST_DB = 40.0
+STEP_S = 0.00025
 # a clap is at its strongest within this time, and its beginning this share (in dB) as strong
 RISE_S = 0.010
 RISE_SHARE = 0.4
@@ -33,24 +34,26 @@ def clap_energy(samples: NDArray, rate_hz: int, settings: SyncSettings) -> NDArr
     return filtered**2
 
 
-def onset_strength_db(energy: NDArray, rate_hz: int, settings: SyncSettings) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Energy jump at each sample (n,) in dB, at least 0, and where the sound behind it is not weak beside the loudest (n,).
+def onset_strength_db(energy: NDArray, rate_hz: int, settings: SyncSettings) -> tuple[NDArray, NDArray, int]:
+    """Energy jump in dB (steps,), at least 0, at every `step`-th sample; where it is loud (steps,); and `step`.
 
-    Where less than `min_background_s` of sound lies before a sample the jump is 0: a recording may begin in a sound.
+    Loud is what is not weak beside the recording's loudest. Where less than `min_background_s` of sound lies before a
+    sample the jump is 0: a recording may begin in a sound.
     """
+    step = max(round(STEP_S * rate_hz), 1)
     if len(energy) == 0:
-        return np.zeros(0), np.zeros(0, bool)
+        return np.zeros(0), np.zeros(0, bool), step
     total = np.concatenate([[0.0], np.cumsum(energy)])
-    n = np.arange(len(energy))
+    n = np.arange(0, len(energy), step)
     end = np.minimum(n + max(round(settings.attack_s * rate_hz), 1), len(energy))
     begin = np.maximum(n - round(settings.background_s * rate_hz), 0)
-    behind = (total[end] - total[n]) / np.maximum(end - n, 1)
+    behind = (total[end] - total[n]) / (end - n)
     before = (total[n] - total[begin]) / np.maximum(n - begin, 1)
     # 90 dB under the loudest counts as silence, so that digital zeros do not make every tick a clap
     floor = max(float(behind.max()) * 1e-9, 1e-16)
     jump_db = np.maximum(10 * np.log10((behind + floor) / (np.maximum(before, 0) + floor)), 0.0)
-    jump_db[: min(round(settings.min_background_s * rate_hz), len(jump_db))] = 0.0
-    return jump_db, behind > behind.max() * 10 ** (-settings.onset_below_loudest_db / 10)
+    jump_db[n < settings.min_background_s * rate_hz] = 0.0
+    return jump_db, behind > behind.max() * 10 ** (-settings.onset_below_loudest_db / 10), step
 
 
 def find_claps(samples: NDArray, rate_hz: int, start_s: float, settings: SyncSettings | None = None) -> tuple[Onset, ...]:
@@ -61,30 +64,37 @@ def find_claps(samples: NDArray, rate_hz: int, start_s: float, settings: SyncSet
     """
     settings = settings or SyncSettings()
     energy = clap_energy(samples, rate_hz, settings)
-    jump_db, loud = onset_strength_db(energy, rate_hz, settings)
+    return onsets_of(energy, onset_strength_db(energy, rate_hz, settings), rate_hz, start_s, settings)
+
+
+def onsets_of(
+    energy: NDArray, strength: tuple[NDArray, NDArray, int], rate_hz: int, start_s: float, settings: SyncSettings
+) -> tuple[Onset, ...]:
+    """`find_claps` from the energy (n,) and what `onset_strength_db` made of it."""
+    jump_db, loud, step = strength
     candidates = np.flatnonzero(loud & (jump_db > settings.onset_jump_db))
-    hold, found = round(settings.onset_hold_s * rate_hz), []
+    hold, found = settings.onset_hold_s * rate_hz / step, []
     for group in np.split(candidates, np.flatnonzero(np.diff(candidates) > hold) + 1):
         if len(group):
             best = int(group[np.argmax(jump_db[group])])
-            first = _pick(energy, _rise(jump_db, best, rate_hz), rate_hz, settings)
+            rise = step * _rise(jump_db, best, round(RISE_S * rate_hz / step))
+            first = _pick(energy, rise, round(settings.attack_s * rate_hz))
             found.append(Onset(float(start_s + first / rate_hz), min(float(jump_db[best]), STRONGEST_DB)))
     return tuple(found)
 
 
-def _rise(jump_db: NDArray, peak: int, rate_hz: int) -> int:
-    """First sample before a peak of the jump that is nearly as strong: some claps come with a weaker touch just before."""
-    begin = max(peak - round(RISE_S * rate_hz), 0)
+def _rise(jump_db: NDArray, peak: int, reach: int) -> int:
+    """First step before a peak of the jump that is nearly as strong: some claps come with a weaker touch just before."""
+    begin = max(peak - reach, 0)
     return begin + int(np.argmax(jump_db[begin : peak + 1] >= RISE_SHARE * jump_db[peak]))
 
 
-def _pick(energy: NDArray, rise: int, rate_hz: int, settings: SyncSettings) -> int:
+def _pick(energy: NDArray, rise: int, attack: int) -> int:
     """Sample at which the energy's level changes, near a rise of the jump (Akaike's criterion, Maeda 1985).
 
-    The jump looks `attack_s` ahead, so the sound begins up to that much behind its rise. The criterion finds the direct
-    sound even where a louder echo follows within milliseconds.
+    The jump looks `attack` samples ahead, so the sound begins up to that much behind its rise. The criterion finds the
+    direct sound even where a louder echo follows within milliseconds.
     """
-    attack = round(settings.attack_s * rate_hz)
     low, high = max(rise - attack, 0), min(rise + attack + attack // 2, len(energy))
     part = energy[low:high] + 1e-9 * float(energy[low:high].max())
     n, total = len(part), np.cumsum(part)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
-from headcap.sync.clap import STRONGEST_DB, Onset, clap_energy, find_claps, onset_strength_db
+from headcap.sync.clap import STRONGEST_DB, Onset, clap_energy, onset_strength_db, onsets_of
 from headcap.sync.pairs import from_pair_medians
 from headcap.sync.settings import SyncSettings
 
@@ -43,28 +43,42 @@ def find_events(sounds: list[Sound], settings: SyncSettings) -> list[Event]:
     a cough at one camera or a clap that another has missed does not shift anything. Onsets that then coincide are one
     event.
     """
-    shifts = coarse_alignment(sounds, settings)
-    onsets = sudden_sounds(sounds, settings)
-    listed = [(onset.time_s - shifts[c], c, onset) for c, found in enumerate(onsets) for onset in found]
-    listed.sort(key=lambda entry: entry[0])
-    events, least = [], max(2, round(settings.least_cameras_share * len(sounds)))
-    while listed:
-        cluster = max((_cluster(listed, time_s, settings.cluster_s) for time_s, _, _ in listed), key=_score)
-        listed = [entry for entry in listed if entry not in cluster]
-        if len(cluster) >= least:
+    heard_by = [_listen(sound, settings) for sound in sounds]
+    onsets = [heard.onsets for heard in heard_by]
+    shifts = coarse_alignment(sounds, [heard.strength for heard in heard_by], settings)
+    listed = [_Heard(onset.time_s - shifts[c], c, onset) for c, found in enumerate(onsets) for onset in found]
+    listed.sort(key=lambda heard: heard.common_s)
+    times_s = np.array([heard.common_s for heard in listed])
+    ends = np.searchsorted(times_s, times_s + settings.cluster_s, side="right")
+    clusters = sorted((_strongest(listed[i:end]) for i, end in enumerate(ends)), key=_score, reverse=True)
+    least, used, events = max(2, round(settings.least_cameras_share * len(sounds))), set(), []
+    for cluster in clusters:
+        members = {id(heard) for heard in cluster}
+        if len(cluster) >= least and not members & used:
+            used |= members
             events.append(_event(cluster, shifts))
-    return sorted(events, key=lambda event: -event.score)
+    return events
 
 
-def sudden_sounds(sounds: list[Sound], settings: SyncSettings) -> list[tuple[Onset, ...]]:
-    """`find_claps` of each sound."""
-    return [find_claps(sound.samples, sound.rate_hz, sound.start_s, settings) for sound in sounds]
+@dataclass(frozen=True)
+class _Listening:
+    """What is kept of one camera's sound."""
+
+    onsets: tuple[Onset, ...]
+    strength: Array
+    """At coarse steps."""
 
 
-def coarse_alignment(sounds: list[Sound], settings: SyncSettings) -> Array:
+def _listen(sound: Sound, settings: SyncSettings) -> _Listening:
+    energy = clap_energy(sound.samples, sound.rate_hz, settings)
+    strength = onset_strength_db(energy, sound.rate_hz, settings)
+    onsets = onsets_of(energy, strength, sound.rate_hz, sound.start_s, settings)
+    return _Listening(onsets, _coarse_strength(*strength, sound.rate_hz, settings))
+
+
+def coarse_alignment(sounds: list[Sound], strengths: list[Array], settings: SyncSettings) -> Array:
     """(cameras,) own time minus common time, up to a constant, from the correlation of onset strengths; good to ~5 ms."""
     step_s = settings.coarse_step_s
-    strengths = [_sampled_strength(sound, settings) for sound in sounds]
     size = next_fast_len(2 * max(len(strength) for strength in strengths), real=True)
     spectra = [rfft(strength, size) for strength in strengths]
     n = len(sounds)
@@ -82,31 +96,41 @@ def coarse_alignment(sounds: list[Sound], settings: SyncSettings) -> Array:
     return from_pair_medians(differences)
 
 
-def _sampled_strength(sound: Sound, settings: SyncSettings) -> Array:
+def _coarse_strength(jump_db: Array, loud: NDArray[np.bool_], step: int, rate_hz: int, settings: SyncSettings) -> Array:
     """Onset strength above half the threshold at coarse steps: the largest in each step, spread over its neighbours."""
-    jump_db, loud = onset_strength_db(clap_energy(sound.samples, sound.rate_hz, settings), sound.rate_hz, settings)
     strong = loud * np.maximum(np.minimum(jump_db, STRONGEST_DB) - settings.onset_jump_db / 2, 0)
-    width = max(round(settings.coarse_step_s * sound.rate_hz), 1)
-    steps = np.pad(strong, (0, -len(strong) % width)).reshape(-1, width).max(axis=1)
+    # by the times of the fine steps, which are whole samples, so that rates that do not divide do not creep
+    coarse = (np.arange(len(strong)) * step / rate_hz / settings.coarse_step_s).astype(int)
+    steps = np.zeros(int(coarse[-1]) + 1 if len(coarse) else 1)
+    np.maximum.at(steps, coarse, strong)
     return np.convolve(steps, [0.5, 1.0, 0.5], mode="same")
 
 
-def _cluster(listed: list, time_s: float, width_s: float) -> list:
-    """Per camera the strongest onset within `width_s` behind a time (listed is sorted by time)."""
-    best: dict[int, tuple] = {}
-    for entry in listed:
-        if 0 <= entry[0] - time_s <= width_s and (entry[1] not in best or entry[2].strength_db > best[entry[1]][2].strength_db):
-            best[entry[1]] = entry
+@dataclass(frozen=True)
+class _Heard:
+    """An onset of one camera on the coarse common clock."""
+
+    common_s: float
+    camera: int
+    onset: Onset
+
+
+def _strongest(near: list[_Heard]) -> list[_Heard]:
+    """Per camera its strongest onset."""
+    best: dict[int, _Heard] = {}
+    for heard in near:
+        if heard.camera not in best or heard.onset.strength_db > best[heard.camera].onset.strength_db:
+            best[heard.camera] = heard
     return list(best.values())
 
 
-def _score(cluster: list) -> float:
-    return sum(entry[2].strength_db for entry in cluster)
+def _score(cluster: list[_Heard]) -> float:
+    return sum(heard.onset.strength_db for heard in cluster)
 
 
-def _event(cluster: list, shifts: Array) -> Event:
-    common_s = float(np.median([entry[0] for entry in cluster]))
-    own_s, heard = shifts + common_s, np.zeros(len(shifts), bool)
-    for _, camera, onset in cluster:
-        own_s[camera], heard[camera] = onset.time_s, True
-    return Event(own_s, heard, _score(cluster))
+def _event(cluster: list[_Heard], shifts: Array) -> Event:
+    own_s = shifts + float(np.median([heard.common_s for heard in cluster]))
+    found = np.zeros(len(shifts), bool)
+    for heard in cluster:
+        own_s[heard.camera], found[heard.camera] = heard.onset.time_s, True
+    return Event(own_s, found, _score(cluster))

@@ -27,14 +27,14 @@ class SyncSettings(BaseModel):
     window_after_s: float = Field(0.050, gt=0, description="sound behind the onset that enters the delay estimate")
     max_lag_s: float = Field(0.015, gt=0, description="largest error of an onset that the delay estimate mends")
     onset_error_s: float = Field(0.0015, gt=0, description="usual error of an onset; lags far beyond it are taken for echoes")
-    least_sharpness: float = Field(0.2, ge=0, le=1, description="correlation below which two sounds are not the same event")
+    least_sharpness: float = Field(0.15, ge=0, le=1, description="correlation below which two sounds are not the same event")
     upsampling: int = Field(8, ge=1, description="of the correlation, before the parabola through its peak")
     band_hz: tuple[float, float] = Field(
         (300.0, 16000.0), description="frequencies used for delays; lossy codecs drop what is above"
     )
     pair_scale_s: float = Field(3e-5, gt=0, description="residual at which a pair's weight halves (Cauchy)")
     pair_tolerance_s: float = Field(3e-4, gt=0, description="a pair within this of the solution agrees with it")
-    min_confidence: float = Field(0.5, ge=0, le=1, description="a camera agreeing with fewer of the others is refused")
+    min_confidence: float = Field(0.4, ge=0, le=1, description="a camera agreeing with fewer of the others is refused")
     drift_min_span_s: float = Field(5.0, gt=0, description="two claps farther apart than this give each clock's drift")
     max_drift_ppm: float = Field(200.0, gt=0, description="more drift than this is taken for sounds from two different places")
 
