@@ -60,8 +60,9 @@ def refine_clapper(
     motion) minus `synchronise`'s, which took off the flight from `clapper_m`. That difference is
     (|centre - place| - |centre - clapper_m|) / speed of sound + constant + the camera's own delay. Place and constant are
     solved for (Gauss-Newton), with the rough place as a prior of `clapper_std_m` and a Cauchy loss, so a few cameras
-    with delays of their own do not pull the place. What remains beyond `significance` standard deviations
-    (`picture_std_s`, or the cameras' own scatter if larger) is taken for a delay between picture and sound.
+    with delays of their own do not pull the place. The differences count by `picture_std_s` or by their own scatter about
+    the solution, whichever is larger, so start times worse than stated fall back on the rough place. What remains beyond
+    `significance` standard deviations (likewise) is taken for a delay between picture and sound.
 
     With fewer than five cameras the place stays as it was and nothing is called a delay.
     """
@@ -99,8 +100,10 @@ def _solve(
         away = place - centres
         jacobian = np.hstack([away / np.linalg.norm(away, axis=1, keepdims=True) / speed, np.ones((len(centres), 1))])
         residual = difference - constant - _flight_change_s(centres, place, rough, speed)
-        scatter = 1.4826 * float(np.median(np.abs(residual)))
-        weight = 1 / std**2 / (1 + (residual / np.maximum(3 * std, 2 * scatter)) ** 2)
+        # stated errors may be too small; four of the residuals' degrees of freedom are spent on place and constant
+        scatter = 1.4826 * float(np.median(np.abs(residual))) * np.sqrt(len(std) / (len(std) - 4))
+        trusted = np.maximum(std, scatter)
+        weight = 1 / trusted**2 / (1 + (residual / (3 * trusted)) ** 2)
         normal = jacobian.T @ (weight[:, None] * jacobian) + prior
         right = jacobian.T @ (weight * residual) + prior @ np.append(rough - place, 0.0)
         step = np.linalg.solve(normal, right)
