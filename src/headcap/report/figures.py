@@ -84,9 +84,10 @@ def offsets_diagram(offsets: TimeOffsets, true_start_s: dict[str, float] | None,
 def rig_diagram(rig: Rig, cloud: NDArray | None) -> Image:
     """The cameras about the subject: in space, and from above."""
     points = np.empty((0, 3)) if cloud is None else np.asarray(cloud)[:: max(1, len(cloud) // 1500)]
-    with _sheet(8.2, 3.7) as (figure, out):
-        _draw_in_space(figure.add_subplot(1, 2, 1, projection="3d", computed_zorder=False), rig, points)
-        _draw_from_above(figure.add_subplot(1, 2, 2), rig, points)
+    with _sheet(8.2, 3.3) as (figure, out):
+        grid = figure.add_gridspec(1, 2, width_ratios=(1, 1.25))
+        _draw_in_space(figure.add_subplot(grid[0], projection="3d", computed_zorder=False), rig, points)
+        _draw_from_above(figure.add_subplot(grid[1]), rig, points)
     return out[0]
 
 
@@ -99,7 +100,10 @@ def _draw_in_space(axes: Axes, rig: Rig, points: NDArray) -> None:
         for corner in corners:
             axes.plot(*turn(np.stack([camera.centre, corner])), color=INK, linewidth=0.6)
         axes.plot(*turn(np.concatenate([corners, corners[:1]])), color=INK, linewidth=0.8)
-    axes.set_box_aspect(np.ptp(turn(np.concatenate([rig.centres, points, np.zeros((1, 3))])), axis=1) + 0.1, zoom=1.25)
+    shown = turn(np.concatenate([rig.centres, points, np.zeros((1, 3))]))
+    low, high = shown.min(axis=1) - 0.05, shown.max(axis=1) + 0.05
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect(high - low, zoom=1.2)
     axes.view_init(26, 28)
     for name, label in (("x", "z, m"), ("y", "x, m"), ("z", "y, m")):
         getattr(axes, f"set_{name}label")(label, fontsize=7, labelpad=-6)
@@ -115,10 +119,10 @@ def _draw_from_above(axes: Axes, rig: Rig, points: NDArray) -> None:
         colour = SECOND if is_low else INK
         for corner in corners:
             axes.plot(*np.stack([camera.centre, corner])[:, [0, 2]].T, color=colour, linewidth=0.7)
-        place = camera.centre - 0.035 * camera.axis
-        axes.text(place[0], place[2], camera.name, fontsize=6, ha="center", va="center", color=colour)
+        place = camera.centre - (0.11 if is_low else 0.04) * camera.axis
+        axes.text(place[0], place[2], camera.name, fontsize=5.5, ha="center", va="center", color=colour)
     axes.set(aspect="equal", xlabel="x, m", ylabel="z, m", title="From above; amber: the lower half of the cameras")
-    axes.margins(0.12)
+    axes.margins(0.2)
     axes.invert_yaxis()
 
 
