@@ -13,7 +13,7 @@ from headcap.errors import InputError
 from headcap.meshes.rasteriser import rasterise
 from headcap.reconstruction import patchmatch
 from headcap.reconstruction.maps import DepthMap, cell_camera, normals_from_slopes
-from headcap.reconstruction.refine import FROZEN, refine_sweep
+from headcap.reconstruction.refine import refine_sweep
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.reconstruction.views import (
     Level,
@@ -78,11 +78,13 @@ def estimate_maps(
         _Matcher(list(rig), levels, view, sources[view], ranges[view], settings) for view in range(len(rig)) if len(sources[view])
     ]
     for matcher in matchers:
-        matcher.run(prior)
-    if len(levels) > 1:
-        rough = [matcher.map(views[matcher.view], 1) for matcher in matchers]
-        for matcher, best in zip(matchers, best_views(rough, settings), strict=True):
-            matcher.finish(best)
+        matcher.start(prior)
+    for index in range(len(levels) - 2, -1, -1):
+        chosen = [matcher.planes.active for matcher in matchers]
+        if index == 0:
+            chosen = best_views([matcher.map(views[matcher.view], 1) for matcher in matchers], settings)
+        for matcher, best in zip(matchers, chosen, strict=True):
+            matcher.descend(index, best)
     return [matcher.map(views[matcher.view], 0) for matcher in matchers]
 
 
@@ -109,18 +111,16 @@ class _Matcher:
         matching = settings.matching
         self.min_energy = np.float32(matching.window_px**2 * matching.min_contrast**2)
 
-    def run(self, prior: Mesh | None) -> None:
-        """All levels but the finest."""
+    def start(self, prior: Mesh | None) -> None:
+        """Find the surface at the coarsest level."""
         self.planes = self._coarsest(prior)
-        for index in range(len(self.levels) - 2, 0, -1):
-            self.planes = self._finer(index, self.planes)
 
-    def finish(self, best: NDArray[np.bool_]) -> None:
-        """The finest level, in the cells under `best` cells of the level above; the other cells keep its planes."""
-        coarse, cells = self.planes, self._cells(0)
+    def descend(self, index: int, best: NDArray[np.bool_]) -> None:
+        """One level finer, in the cells under `best` cells of the level above; the other cells keep its planes."""
+        cells = self._cells(index)
         rows, columns = (np.minimum(np.arange(n) // 2, m - 1) for n, m in zip(cells.shape, best.shape, strict=True))
         below = np.ix_(rows, columns)
-        self.planes = self._finer(0, coarse, cells & best[below], below)
+        self.planes = self._finer(index, self.planes, cells & best[below], below)
 
     def _geometry(self, index: int) -> tuple:
         """The arguments that every kernel begins with."""
@@ -171,31 +171,32 @@ class _Matcher:
         seed = np.uint64(1_000_003 * (self.view + 1) + 7919 * index + sweep)
         patchmatch.propagate(
             *self._geometry(index), self.w_limits, matching.best_sources, self.min_energy, 3 if coarsest else 0,
-            matching.trials, reach_px, slope_reach / focal, seed, sweep % 2 == 1, planes.active, planes.plane, planes.cost,
+            matching.trials, reach_px, slope_reach / focal, seed, sweep % 2 == 1, planes.settled, planes.active,
+            planes.plane, planes.cost,
         )  # fmt: skip
 
-    def _finer(self, index: int, coarse: _Planes, chosen: NDArray | None = None, below: tuple | None = None) -> _Planes:
+    def _finer(self, index: int, coarse: _Planes, chosen: NDArray, below: tuple) -> _Planes:
         matching, refinement = self.settings.matching, self.settings.refinement
-        planes = _Planes.empty(self._cells(index) if chosen is None else chosen)
+        planes = _Planes.empty(chosen.copy())
         usable = coarse.active & (coarse.cost < matching.max_cost)
         patchmatch.descend(
             *self._geometry(index), matching.best_sources, self.min_energy, coarse.plane, usable, planes.active,
             planes.plane, planes.cost,
         )  # fmt: skip
-        if below is not None:
-            _inherit(planes, coarse, usable, chosen, below, matching.cell_px)
+        _inherit(planes, coarse, usable, chosen, below, matching.cell_px)
         if index > 0:
-            for sweep in range(matching.level_sweeps):
+            for sweep in range(matching.level_sweeps + index - 1):
                 self._propagate(index, planes, sweep, reach_px=1.0 * 0.7**sweep, slope_reach=0.7 * 0.7**sweep)
         self._refine(index, planes, refinement.sweeps if index == 0 else refinement.coarse_sweeps)
         return planes
 
     def _refine(self, index: int, planes: _Planes, sweeps: int) -> None:
         _matching, refinement = self.settings.matching, self.settings.refinement
+        bend = 2.0**index  # a curved surface leaves its plane as the cell's size squared, in pixels as its size
         for sweep in range(sweeps):
             refine_sweep(
-                *self._geometry(index), refinement.noise_grey, refinement.smoothness_px, refinement.smoothness_slope,
-                refinement.discontinuity_px, refinement.converged_px, sweep % 2 == 1, planes.active, planes.settled,
+                *self._geometry(index), refinement.noise_grey, bend * refinement.smoothness_px,
+                bend * refinement.smoothness_slope, refinement.discontinuity_px, refinement.converged_px, sweep % 2 == 1, planes.active, planes.settled,
                 planes.plane, planes.cost, planes.spread,
             )  # fmt: skip
 
@@ -210,6 +211,8 @@ class _Matcher:
         depth = np.where(good, 1 / np.where(good, w, 1), 0).astype(np.float32)
         normal = normals_from_slopes(matrix, planes.plane, cell)
         normal[~good] = 0
+        chosen = good & (planes.settled != patchmatch.FROZEN)
+        chosen[::2, ::2] |= good[::2, ::2]  # one of the four cells that inherited one plane
         return DepthMap(
             camera=camera,
             depth=depth,
@@ -217,7 +220,7 @@ class _Matcher:
             confidence=np.where(good, np.clip(1 - planes.cost, 0, 1), 0).astype(np.float32),
             sigma=(planes.spread * depth**2).astype(np.float32),
             colour=cv2.resize(view.colour, camera.size, interpolation=cv2.INTER_AREA)[..., ::-1],
-            chosen=good & (planes.settled < FROZEN),
+            chosen=chosen,
         )
 
 
@@ -231,4 +234,4 @@ def _inherit(planes: _Planes, coarse: _Planes, usable: NDArray, chosen: NDArray,
     planes.plane[keep] = np.concatenate([w[..., None], slopes], -1)[keep]
     planes.cost[keep], planes.spread[keep] = coarse.cost[below][keep], coarse.spread[below][keep]
     planes.active |= keep
-    planes.settled[keep] = FROZEN
+    planes.settled[keep] = patchmatch.FROZEN

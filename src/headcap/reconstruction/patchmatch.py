@@ -17,7 +17,8 @@ from numba import njit
 JIT = {"cache": True, "fastmath": True, "nogil": True, "error_model": "numpy", "boundscheck": False}
 NO_MATCH = np.float32(2.0)
 """Cost of a hypothesis that a source cannot see: that of perfect anticorrelation."""
-_MASK = np.uint64(0xFFFFFFFF)
+FROZEN = 2
+"""State of a cell (in `settled`) that hands its plane on and is not changed itself."""
 
 
 @njit(**JIT)
@@ -94,7 +95,7 @@ def correlate(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, p
                 height,
             ):
                 return NO_MATCH
-    one = np.float32(1.0)
+    one, right, down = np.float32(1.0), np.uint32(1), np.uint32(stride)
     total, square, cross = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for k in range(patch.size):
         over = one / (z0 + du[k] * zu + dv[k] * zv)
@@ -102,10 +103,11 @@ def correlate(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, p
         y = (y0 + du[k] * yu + dv[k] * yv) * over
         column, row = np.int32(x), np.int32(y)
         fx, fy = x - np.float32(column), y - np.float32(row)
-        at = np.uint64(start + row * stride + column)
-        top = flat[at] + fx * (flat[at + np.uint64(1)] - flat[at])
-        under = at + np.uint64(stride)
-        bottom = flat[under] + fx * (flat[under + np.uint64(1)] - flat[under])
+        # unsigned: no test for negative indices; 32 bits: twice the lanes of a gather
+        at = np.uint32(start + row * stride + column)
+        under = np.uint32(at + down)
+        top = flat[at] + fx * (flat[np.uint32(at + right)] - flat[at])
+        bottom = flat[under] + fx * (flat[np.uint32(under + right)] - flat[under])
         value = top + fy * (bottom - top)
         total += value
         square += value * value
@@ -199,6 +201,7 @@ def propagate(
     slope_reach,
     seed,
     backward,
+    settled,
     active,
     plane,
     cost,
@@ -208,7 +211,7 @@ def propagate(
     Handed on are the planes of the two neighbours that the sweep has just passed (so one sweep carries a good plane
     across the image) and, where `far_step` > 0, of the two at that distance. Random changes halve in size from
     `reach_px` pixels of disparity and `slope_reach` (change of inverse depth per pixel, relative to inverse depth).
-    Returns how many random changes were accepted.
+    Cells marked FROZEN in `settled` (rows, columns) stay as they are. Returns how many random changes were accepted.
     """
     flat = images.reshape(-1)
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
@@ -222,7 +225,7 @@ def propagate(
     for index in range(rows * columns):
         place = rows * columns - 1 - index if backward else index
         row, column = place // columns, place % columns
-        if not active[row, column]:
+        if not active[row, column] or settled[row, column] == FROZEN:
             continue
         u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
         energy = load_patch(image, u, v, du, dv, patch)

@@ -14,10 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from headcap.reconstruction.patchmatch import JIT, load_patch, pixel_of_disparity, window_offsets
-
-FROZEN = 2
-"""State of a cell that lends its plane to its neighbours and is not refined itself."""
+from headcap.reconstruction.patchmatch import FROZEN, JIT, load_patch, pixel_of_disparity, window_offsets
 
 
 @njit(**JIT)
@@ -42,7 +39,7 @@ def sample_system(flat, start, stride, width, height, m, t, u, v, w, a, b, du, d
             x, y = x0 + sign_u * xu + sign_v * xv, y0 + sign_u * yu + sign_v * yv
             if not (z > 1e-6 and x >= 0.0 and y >= 0.0 and x < (width - 1.001) * z and y < (height - 1.001) * z):
                 return False
-    one, zero = np.float32(1.0), np.float32(0.0)
+    one, zero, right, down = np.float32(1.0), np.float32(0.0), np.uint32(1), np.uint32(stride)
     tx, ty, tz = np.float32(t[0] * unit), np.float32(t[1] * unit), np.float32(t[2] * unit)
     s_v, s_vv, s_rv = zero, zero, zero
     g0, g1, g2 = zero, zero, zero
@@ -56,10 +53,10 @@ def sample_system(flat, start, stride, width, height, m, t, u, v, w, a, b, du, d
         y = (y0 + p * yu + q * yv) * over
         column, row = np.int32(x), np.int32(y)
         fx, fy = x - np.float32(column), y - np.float32(row)
-        at = np.uint64(start + row * stride + column)
-        under = at + np.uint64(stride)
-        i00, i01 = flat[at], flat[at + np.uint64(1)]
-        i10, i11 = flat[under], flat[under + np.uint64(1)]
+        at = np.uint32(start + row * stride + column)
+        under = np.uint32(at + down)
+        i00, i01 = flat[at], flat[np.uint32(at + right)]
+        i10, i11 = flat[under], flat[np.uint32(under + right)]
         top, bottom = i00 + fx * (i01 - i00), i10 + fx * (i11 - i10)
         value = top + fy * (bottom - top)
         gx = (i01 - i00) + fy * ((i11 - i10) - (i01 - i00))
@@ -353,7 +350,7 @@ def refine_sweep(
                 for k in range(4):
                     r = row + (k - 2 if k % 2 == 1 else 0)
                     c = column + (k - 1 if k % 2 == 0 else 0)
-                    if r >= 0 and c >= 0 and r < rows and c < columns and settled[r, c] == 1:
+                    if r >= 0 and c >= 0 and r < rows and c < columns and settled[r, c] != FROZEN:
                         settled[r, c] = 0
         else:
             rejected += 1

@@ -19,7 +19,7 @@ class MatchingSettings(BaseModel):
     coarsest_px: int = Field(120, ge=24, description="longer image side at the coarsest pyramid level")
     depth_planes: int = Field(64, ge=8, description="depths tried for every cell of the coarsest level, without a prior")
     coarse_sweeps: int = Field(4, ge=1, description="propagation sweeps at the coarsest level")
-    level_sweeps: int = Field(2, ge=0, description="propagation sweeps at the levels between the coarsest and the finest")
+    level_sweeps: int = Field(2, ge=0, description="propagation sweeps one level above the finest; one more at each coarser")
     trials: int = Field(3, ge=0, description="random changes that each cell tries in a sweep")
     finest_views: int = Field(
         2, ge=1, description="views, of those that see a place best, that refine it at the finest level; others only vote"
@@ -34,8 +34,8 @@ class RefinementSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    sweeps: int = Field(3, ge=0, description="sweeps over all cells at the finest level")
-    coarse_sweeps: int = Field(2, ge=0, description="sweeps over all cells at every coarser level")
+    sweeps: int = Field(2, ge=0, description="sweeps over all cells at the finest level")
+    coarse_sweeps: int = Field(1, ge=0, description="sweeps over all cells at every coarser level")
     noise_grey: float = Field(
         6.0, gt=0, description="standard deviation of one sample, grey levels of 255, raised for the overlap of windows"
     )
@@ -44,7 +44,7 @@ class RefinementSettings(BaseModel):
     )
     smoothness_slope: float = Field(0.04, gt=0, description="expected change of slope between cells, pixels per pixel")
     discontinuity_px: float = Field(0.7, gt=0, description="departure beyond which neighbours count as another surface, pixels")
-    converged_px: float = Field(0.003, ge=0, description="a cell whose last step was smaller is left alone, pixels")
+    converged_px: float = Field(0.01, ge=0, description="a cell whose last step was smaller is left alone, pixels")
 
 
 class FusionSettings(BaseModel):

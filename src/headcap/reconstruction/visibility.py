@@ -81,8 +81,8 @@ def best_views(maps: list[DepthMap], settings: ReconstructSettings) -> list[NDAr
     A view's pixels on a place are counted along one direction: focal length / depth * cosine of the viewing angle.
     """
     stack = MapStack(maps)
-    # maps of the level above are checked, so their disagreement may be larger
-    gap_px = 2 * settings.fusion.max_disparity_px / math.tan(math.radians(BASE_ANGLE_DEG))
+    # in the cells of these maps: the same disagreement in the level's own pixels
+    gap_px = settings.fusion.max_disparity_px / (settings.matching.cell_px * math.tan(math.radians(BASE_ANGLE_DEG)))
     facing = math.cos(math.radians(settings.fusion.max_viewing_deg))
     return [
         _rank_view(
