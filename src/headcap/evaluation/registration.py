@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.evaluation.ties import at_border
-from headcap.evaluation.tracking import NO_SKIN
 from headcap.meshes.closest_point import Surface
 from headcap.meshes.normals import triangle_normals
 from headcap.registration.template import Template
+
+# What a scan of a face with closed lips and a camera outside cannot show.
+NOT_SCANNED = ("eyes", "mouth_interior", "lips_inner_upper", "lips_inner_lower")
 
 
 @dataclass(frozen=True)
@@ -33,13 +35,13 @@ class RegistrationErrors:
 def compare_registration(template: Template, scan_vertices: NDArray, scan_triangles: NDArray) -> RegistrationErrors:
     """Errors of a template against a scan (v, 3), (m, 3), both in metres in one frame.
 
-    Left out are eyes and mouth interior, which no scan shows, and vertices whose nearest point lies on an open border
-    of the scan.
+    Left out are eyes, mouth interior and the inner sides of the lips, which no scan shows, and vertices whose nearest
+    point lies on an open border of the scan. Nothing else: a vertex on the wrong layer counts with its distance.
     """
     nearest = Surface(scan_vertices, scan_triangles).closest(template.vertices)
     error = 1e3 * nearest.distance
     error[at_border(nearest.triangle, nearest.barycentric, scan_triangles)] = np.nan
-    for name in NO_SKIN:
+    for name in NOT_SCANNED:
         error[template.regions.get(name, np.zeros(len(error), bool))] = np.nan
     return RegistrationErrors(error, count_flipped(template.vertices, template.triangles))
 

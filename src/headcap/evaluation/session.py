@@ -15,7 +15,7 @@ from headcap.evaluation.calibration import RigErrors, compare_rigs
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.metrics import Figure, make_figure
 from headcap.evaluation.reconstruction import CloudErrors, compare_cloud, summarise_clouds
-from headcap.evaluation.registration import count_flipped
+from headcap.evaluation.registration import compare_registration, count_flipped
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.sync import clock_shift_s, offset_error_ms
 from headcap.evaluation.tracking import TrackingErrors, compare_sequence
@@ -141,10 +141,22 @@ def compare_take(comparison: TruthComparison, take: str) -> list[Figure]:
 
 
 def evaluate_session(
-    session: SessionFolder, takes: Iterable[str], *, rig: Rig, truth: Truth | None, settings: EvaluateSettings
+    session: SessionFolder,
+    takes: Iterable[str],
+    *,
+    rig: Rig,
+    truth: Truth | None,
+    settings: EvaluateSettings,
+    scan: tuple[NDArray, NDArray] | None = None,
 ) -> list[Figure]:
-    """Every figure of a session: those its stages stated in their manifests, and those against truth where there is one."""
+    """Every figure of a session: those its stages stated in their manifests, and those against truth where there is one.
+
+    `scan`: vertices (v, 3) in metres, in the frame of the registered template, and triangles (m, 3).
+    """
     figures = stated_figures(session, takes, settings)
+    if scan is not None:
+        values = compare_registration(Template.load(session.template), *scan).figures()
+        figures += _figures(values, session.name, None, settings)
     for take in takes:
         figures += _figures(measure_take(session, take, settings), session.name, take, settings)
     if truth is not None:
