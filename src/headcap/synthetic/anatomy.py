@@ -94,6 +94,7 @@ def solve_fields(head: Template, places: Places) -> Fields:
     lower_face = (v[:, 1] > places.chin[1] - 0.004) & (v[:, 2] > places.hinge[2] + 0.02)
     cut = v[:, 1] < v[:, 1].min() + 0.012
     neck = _harmonic(laplacian, smoother, skull | lower_face, cut)
+    neck = np.clip((neck - neck[cut].max()) / (1 - neck[cut].max()), 0, 1)  # the shoulders stay where they are
     jaw_bone = lower_face & (_hinge_angle(v, places) < _hinge_angle(places.mouth[None], places)[0] - np.radians(9))
     lower_lip = regions["lips_lower"] | regions["lips_inner_lower"]
     upper_lip = regions["lips_upper"] | regions["lips_inner_upper"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +15,35 @@ from headcap.synthetic.anatomy import Fields, Places, find_places, solve_fields
 from headcap.synthetic.densify import subdivide
 from headcap.synthetic.larynx import build_larynx, throat_frame
 from headcap.synthetic.lighting import openness
+from headcap.synthetic.parts import Part, ball_radius, eyeball, teeth
 from headcap.synthetic.render import Surface
 from headcap.synthetic.rig import SUBJECT_STREAM, random_stream
 from headcap.synthetic.settings import SubjectSettings
 from headcap.synthetic.subject import AT_REST, Subject
-from headcap.synthetic.texture import EYE, LOOK_COLUMNS, MOUTH, SKIN, make_grain
+from headcap.synthetic.texture import EYE, MOUTH, SKIN, TOOTH, Grain, make_grain
 
 _FOLD = (0.95, 0.86)
 """The lids' edge is folded in to these shares of its distance from the eye's centre, which closes the gap to the eyeball."""
-_LEAST_OPENNESS = 0.12
-_EYE_SHARE = 0.965
-"""The eyeball is this much smaller than the sphere the lids were modelled on: their thickness."""
+_LEAST_OPENNESS, _LEAST_TOOTH_OPENNESS = 0.15, 0.6
+_LIP_ZONE_M = 0.08
+
+
+@dataclass(frozen=True)
+class _Skin:
+    """The soft part of a subject: the dense, detailed skin with the mouth's wall."""
+
+    points: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    coarse_triangles: NDArray[np.int32]
+    """Fewer triangles over the first of the same points."""
+    in_mouth: NDArray[np.bool_]
+    """(n,)."""
+    material: NDArray[np.uint8]
+    looks: tuple[NDArray[np.float32], NDArray[np.float32]]
+    """(n, 7) for most takes and for lip takes."""
+    fields: Fields
+    rims: tuple[NDArray, ...]
+    """Vertices of the left and right lids' edges."""
 
 
 def grow_subject(base: Template, settings: SubjectSettings, seed: int) -> Subject:
@@ -36,64 +54,90 @@ def grow_subject(base: Template, settings: SubjectSettings, seed: int) -> Subjec
     head = head.with_vertices(identity.bare_throat(head.vertices, head.triangles, places))
     places = replace(places, larynx=_throat_place(head.vertices, places))
     head, rims = _open_eyes(head, places)
+    skin = _grow_skin(head, rims, places, random, settings)
+    hard = (
+        eyeball(places.eye_left, places.eye_radius),
+        eyeball(places.eye_right, places.eye_radius),
+        teeth(places, upper=True),
+        teeth(places, upper=False),
+    )
+    subject = _assemble(skin, hard, places, settings.larynx_prominence_mm / 1000, make_grain(seed))
+    return _lit(replace(subject, landmarks=head.landmarks, inner_lips=_inner_lips(head)))
+
+
+def _grow_skin(
+    head: Template, rims: tuple[NDArray, ...], places: Places, random: np.random.Generator, settings: SubjectSettings
+) -> _Skin:
     operator, triangles = subdivide(head.triangles, len(head.vertices))
     regions = {name: np.clip(operator @ mask.astype(float), 0, 1) for name, mask in head.regions.items()}
     relief = (1 - regions["mouth_interior"]) * (1 - 0.5 * regions["lips_upper"] - 0.5 * regions["lips_lower"])
-    skin_m = identity.add_detail(operator @ head.vertices, triangles, relief, random, settings.detail_mm / 1000)
-    fields = solve_fields(head, places).mapped(operator)
-    look = identity.skin_look(skin_m, regions, places, random, tattoos=settings.tattoos)
-    lips_look = identity.tattoo_lips(look, skin_m, regions, places) if settings.tattoos else look
-    material = np.where(np.tile(head.regions["mouth_interior"][head.triangles].all(1), 4), MOUTH, SKIN)
-    in_mouth = regions["mouth_interior"] > 0.5
-    subject = _assemble(skin_m, triangles, material, (look, lips_look), in_mouth, fields, places, seed, rims, head)
-    subject = replace(
-        subject, larynx=build_larynx(subject.bare_m, _mask(subject, ~in_mouth), places, settings.larynx_prominence_mm / 1000)
+    points = identity.add_detail(operator @ head.vertices, triangles, relief, random, settings.detail_mm / 1000)
+    look = identity.skin_look(points, regions, places, random, tattoos=settings.tattoos)
+    lips_look = identity.tattoo_lips(look, points, regions, places) if settings.tattoos else look
+    wall = np.tile(head.regions["mouth_interior"][head.triangles].all(1), 4)
+    return _Skin(
+        points=points,
+        triangles=triangles,
+        coarse_triangles=head.triangles,
+        in_mouth=regions["mouth_interior"] > 0.5,
+        material=np.where(wall, MOUTH, SKIN).astype(np.uint8),
+        looks=(look, lips_look),
+        fields=solve_fields(head, places).mapped(operator),
+        rims=rims,
     )
-    return _lit(subject)
 
 
-def _assemble(
-    skin_m: NDArray, triangles: NDArray, material: NDArray, looks: tuple, in_mouth: NDArray, fields: Fields,
-    places: Places, seed: int, rims: list[NDArray], head: Template,
-) -> Subject:  # fmt: skip
-    n = len(skin_m)
-    ball, ball_triangles = _sphere(24, 48)
-    radius = _EYE_SHARE * places.eye_radius
-    centres = (places.eye_left, places.eye_right)
-    points = np.concatenate([skin_m, *(centre + radius * ball for centre in centres)])
-    eyes = tuple(n + k * len(ball) + np.arange(len(ball)) for k in range(2))
-    coarse = len(triangles) // 4
-    balls = [ball_triangles + n + k * len(ball) for k in range(2)]
-    triangles = np.concatenate([triangles, *balls]).astype(np.int32)
-    material = np.concatenate([material, np.full(2 * len(ball_triangles), EYE)]).astype(np.uint8)
-    eye_look = np.zeros((2 * len(ball), len(LOOK_COLUMNS)), np.float32)
-    eye_look[:, :3] = np.tile(1000 * radius * ball, (2, 1))
-    area = 0.5 * np.linalg.norm(triangle_normals(points, triangles), axis=1) * 1e6
-    surfaces = [
-        Surface(triangles, material, np.concatenate([look, eye_look]).astype(np.float32), area.astype(np.float32))
-        for look in looks
-    ]
-    fields = Fields(
-        *(np.concatenate([f, np.full(2 * len(ball), v)]) for f, v in zip(fields.all(), (1.0, 0.0, 0.0, 0.0), strict=True))
-    )
-    skin = np.arange(len(points)) < n
-    face_skin = skin & ~np.pad(in_mouth, (0, 2 * len(ball)), constant_values=True)
-    lids = tuple(motion.build_lids(points, skin, rim, centre, radius) for rim, centre in zip(rims, centres, strict=True))
-    near_mouth = np.linalg.norm(points - places.mouth, axis=1) < 0.08
-    moving_jaw = (fields.jaw > 1e-3) | (fields.upper_lip > 1e-3)
-    outside = (material == SKIN) | ((material == EYE) & (points[triangles].mean(1)[:, 2] > places.eye_left[2]))
+def _assemble(skin: _Skin, hard: tuple[Part, ...], places: Places, prominence_m: float, grain: Grain) -> Subject:
+    """Skin and hard parts in one mesh; eyeballs first among the parts."""
+    starts = len(skin.points) + np.cumsum([0] + [len(part.points) for part in hard])
+    points = np.concatenate([skin.points, *(part.points for part in hard)])
+    moved = [part.triangles + start for part, start in zip(hard, starts, strict=False)]
+    triangles = np.concatenate([skin.triangles, *moved]).astype(np.int32)
+    material = np.concatenate([skin.material, *(np.full(len(p.triangles), p.material, np.uint8) for p in hard)])
+    fields = _with_parts(skin.fields, hard)
+    is_skin = np.arange(len(points)) < len(skin.points)
+    outer = is_skin & ~np.pad(skin.in_mouth, (0, len(points) - len(skin.points)), constant_values=True)
+    surface, lips_surface = (_surface(points, triangles, material, look, hard) for look in skin.looks)
+    balls = ((places.eye_left, places.eye_right), (ball_radius(places.eye_radius),) * 2)
+    in_front = points[triangles].mean(1)[:, 2] > places.eye_left[2]
     return Subject(
-        bare_m=points, surface=surfaces[0], lips_surface=surfaces[1],
-        occluder=np.concatenate([head.triangles[:coarse], *balls]).astype(np.int32),
-        openness=np.ones(len(points)), grain=make_grain(seed), places=places, fields=fields,
-        larynx=build_larynx(points, face_skin, places, 0.0), pulls=motion.build_pulls(points, face_skin, places), lids=lids, eyes=eyes,
-        lip_zone=np.flatnonzero(skin & near_mouth), jaw_zone=np.flatnonzero(moving_jaw),
-        landmarks=head.landmarks, inner_lips=_inner_lips(head), outside=outside,
-    )  # fmt: skip
+        bare_m=points,
+        surface=surface,
+        lips_surface=lips_surface,
+        occluder=np.concatenate([skin.coarse_triangles, *moved]).astype(np.int32),
+        openness=np.ones(len(points)),
+        grain=grain,
+        places=places,
+        fields=fields,
+        larynx=build_larynx(points, outer, places, prominence_m),
+        pulls=motion.build_pulls(points, outer, places),
+        lids=tuple(motion.build_lids(points, is_skin, rim, c, r) for rim, c, r in zip(skin.rims, *balls, strict=True)),
+        eyes=tuple(np.arange(starts[k], starts[k + 1]) for k in range(2)),
+        lip_zone=np.flatnonzero(is_skin & (np.linalg.norm(points - places.mouth, axis=1) < _LIP_ZONE_M)),
+        jaw_zone=np.flatnonzero((fields.jaw > 1e-3) | (fields.upper_lip > 1e-3)),
+        outside=(material == SKIN) | ((material == EYE) & in_front),
+    )
 
 
-def _mask(subject: Subject, skin: NDArray) -> NDArray[np.bool_]:
-    return np.pad(skin, (0, len(subject.bare_m) - len(skin)), constant_values=False)
+def _with_parts(fields: Fields, hard: tuple[Part, ...]) -> Fields:
+    """Fields of skin and parts: a part goes all the way with the head, and with the jaw or not."""
+
+    def joined(field: NDArray, shares: list[float]) -> NDArray:
+        return np.concatenate([field, *(np.full(len(part.points), share) for part, share in zip(hard, shares, strict=True))])
+
+    nowhere = [0.0] * len(hard)
+    return Fields(
+        joined(fields.head, [1.0] * len(hard)),
+        joined(fields.jaw, [part.jaw for part in hard]),
+        joined(fields.upper_lip, nowhere),
+        joined(fields.lower_lip, nowhere),
+    )
+
+
+def _surface(points: NDArray, triangles: NDArray, material: NDArray, look: NDArray, hard: tuple[Part, ...]) -> Surface:
+    area_mm2 = 0.5e6 * np.linalg.norm(triangle_normals(points, triangles), axis=1)
+    whole = np.concatenate([look, *(part.look for part in hard)]).astype(np.float32)
+    return Surface(triangles, material, whole, area_mm2.astype(np.float32))
 
 
 def _lit(subject: Subject) -> Subject:
@@ -101,7 +145,9 @@ def _lit(subject: Subject) -> Subject:
     rest = subject.vertices(AT_REST)
     normals = vertex_normals(rest, subject.surface.triangles)
     # what is shut away at rest, the mouth and the eyeballs' backs, sees something of the room once it opens
-    return replace(subject, openness=np.maximum(openness(rest, normals, subject.occluder), _LEAST_OPENNESS))
+    least = np.full(len(rest), _LEAST_OPENNESS)
+    least[subject.surface.triangles[subject.surface.material == TOOTH]] = _LEAST_TOOTH_OPENNESS
+    return replace(subject, openness=np.maximum(openness(rest, normals, subject.occluder), least))
 
 
 def _throat_place(points_m: NDArray, places: Places) -> NDArray[np.float64]:
@@ -112,7 +158,7 @@ def _throat_place(points_m: NDArray, places: Places) -> NDArray[np.float64]:
     return places.larynx + outward * float((found - places.larynx) @ outward)
 
 
-def _open_eyes(head: Template, places: Places) -> tuple[Template, list[NDArray]]:
+def _open_eyes(head: Template, places: Places) -> tuple[Template, tuple[NDArray, ...]]:
     """The head with its eyes cut out along the lids' rims, the rims folded in; rims left then right, outermost vertices."""
     keep = ~head.regions["eyes"][head.triangles].any(1)
     triangles, used = submesh(head.triangles, keep)
@@ -120,7 +166,7 @@ def _open_eyes(head: Template, places: Places) -> tuple[Template, list[NDArray]]
     new_index = {int(old): new for new, old in enumerate(used)}
     centres = (places.eye_left, places.eye_right)
     loops = [loop for loop in boundary_loops(triangles) if len(loop) > 8]
-    rims = [min(loops, key=lambda loop, c=centre: np.linalg.norm(points[loop].mean(0) - c)) for centre in centres]
+    rims = tuple(min(loops, key=lambda loop, c=centre: np.linalg.norm(points[loop].mean(0) - c)) for centre in centres)
     parts, folded = [triangles], [points]
     for rim, centre in zip(rims, centres, strict=True):
         outer = rim
@@ -136,21 +182,6 @@ def _open_eyes(head: Template, places: Places) -> tuple[Template, list[NDArray]]
     landmarks = {name: new_index[index] for name, index in head.landmarks.items() if index in new_index}
     triangles = np.concatenate(parts).astype(np.int32)
     return Template(vertices, triangles, np.zeros((1, 2)), np.zeros_like(triangles), regions, landmarks), rims
-
-
-def _sphere(rows: int, columns: int) -> tuple[NDArray, NDArray]:
-    """Unit sphere with its poles on the z axis, finest at the pupil; counter-clockwise seen from outside."""
-    polar = np.linspace(0, np.pi, rows + 1)[1:-1]
-    turn = np.arange(columns) * 2 * np.pi / columns
-    ring = np.stack([np.outer(np.sin(polar), np.cos(turn)), np.outer(np.sin(polar), np.sin(turn))], axis=-1)
-    body = np.concatenate([ring, np.broadcast_to(np.cos(polar)[:, None, None], (*ring.shape[:2], 1))], axis=-1).reshape(-1, 3)
-    points = np.concatenate([[[0, 0, 1.0]], body, [[0, 0, -1.0]]])
-    index = 1 + np.arange(len(body)).reshape(len(polar), columns)
-    after = np.roll(index, -1, axis=1)
-    a, b, c, d = index[:-1].ravel(), after[:-1].ravel(), index[1:].ravel(), after[1:].ravel()
-    top = np.stack([np.zeros(columns, int), index[0], after[0]], axis=1)
-    bottom = np.stack([np.full(columns, len(points) - 1), after[-1], index[-1]], axis=1)
-    return points, np.concatenate([top, np.stack([a, c, b], 1), np.stack([b, c, d], 1), bottom]).astype(np.int32)
 
 
 def _inner_lips(head: Template) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -61,7 +61,7 @@ def build_pulls(points: NDArray, skin: NDArray, places: Places) -> tuple[Pull, .
             (f"smile_{name}", corner, (2, 0, -2), (0.6, 0.75, -0.2), 10.0, 17.0, 0.0),
             (f"smile_{name}", corner, (20, 27, -14), (0.2, 1.0, 0.0), 3.0, 17.0, 3.2),
             (f"corner_down_{name}", corner, (2, -3, -2), (0.15, -1.0, -0.1), 8.0, 16.0, 0.0),
-            (f"brow_raise_{name}", eye, (2, 21, 12), (0, 1, 0), 8.0, 17.0, 0.0),
+            (f"brow_raise_{name}", eye, (2, 25, 12), (0, 1, 0), 8.0, 15.0, 0.0),
             ("brow_frown", eye, (-15, 15, 14), (-0.8, -0.6, 0), 5.5, 12.0, 1.0),
             ("sneer", wing, (0, 0, 0), (0.25, 1, 0), 5.0, 10.0, 0.6),
             ("cheek_puff", corner, (18, 2, -16), (0, -1, 0), 0.0, 17.0, 9.0),
@@ -213,7 +213,7 @@ def gaze_rotation(up_rad: float, left_rad: float) -> NDArray[np.float64]:
 
 
 def neck_transforms(places: Places, turn: NDArray) -> NDArray[np.float64]:
-    """Transforms (joints + 1, 3, 4) of the neck's bones from its base up to the skull for a turn of the head (rotation vector)."""
+    """Transforms (joints + 1, 3, 4) of the neck's bones from its base to the skull for a turn of the head (rotation vector)."""
     pivots = np.linspace(places.neck_low, places.neck_high, _NECK_JOINTS)
     rotation = np.eye(3)
     translation = np.zeros(3)

@@ -24,15 +24,16 @@ def write_recording(
     sound_rate_hz: int,
     video: VideoSettings,
 ) -> None:
-    """Write frames (slot, RGB (height, width, 3)) and sound (n,) to an mp4; slot k is presented at k / rate, missing slots are gaps.
+    """Write frames (slot, RGB (height, width, 3)) and sound (n,) to an mp4.
 
-    Only one frame is held at a time; the file appears whole or not at all.
+    Slot k is presented at k / rate, missing slots are gaps. Only one frame is held at a time; the file appears whole or
+    not at all.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         picture, track = _picture_stream(container, video), _sound_stream(container, sound_rate_hz)
         blocks = _sound_blocks(sound, sound_rate_hz)
         for slot, image in frames:
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24").reformat(format="yuv420p")
             frame.pts, frame.time_base = slot * _TICKS_PER_FRAME, picture.codec_context.time_base
             container.mux(picture.encode(frame))
             # sound goes in beside the picture, so that players and readers need not seek

@@ -94,9 +94,7 @@ def rehearse(settings: RehearsalSettings, folder: Path | str, *, progress: Progr
     pieces.sort(key=lambda piece: piece[2] == CALIBRATION)
     pieces += [(rehearse_truth, settings, take.name) for take in settings.takes] + [(rehearse_scan, settings)]
     write_description(settings, folder)
-    done = 0
-    for name in _carried_out(pieces, folder, workers):
-        done += 1
+    for done, name in enumerate(_carried_out(pieces, folder, workers), 1):
         if progress is not None:
             progress(done, len(pieces), name)
     return rehearsal
@@ -129,6 +127,11 @@ def rehearse_recording(settings: RehearsalSettings, recording: str, camera: str,
     exposed = _exposed(frames, rehearsal, index, c)
     write_recording(Path(folder) / path, exposed, sound, settings.sound.rate_hz, settings.video)
     return path
+
+
+def rehearse_camera(settings: RehearsalSettings, camera: str, folder: Path | str) -> list[Path]:
+    """Render and write all recordings of one camera: the piece that a workflow's job takes; gives their paths in the folder."""
+    return [rehearse_recording(settings, recording, camera, folder) for recording in plan(settings).recordings]
 
 
 def rehearse_truth(settings: RehearsalSettings, take: str, folder: Path | str) -> Path:

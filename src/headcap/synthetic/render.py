@@ -42,9 +42,10 @@ def render_surface(
     background: NDArray,
     rows: tuple[int, int] | None = None,
 ) -> NDArray[np.float32]:
-    """Linear RGB (rows, width, 3) of a surface at `vertices_m` (n, 3) under `light` (n, 4), in front of `background` (rows, width, 3).
+    """Linear RGB (rows, width, 3) of a surface at `vertices_m` (n, 3) under `light` (n, 4).
 
-    `rows` (first, one past the last) renders a band of the picture alone, for rolling shutters.
+    `background` (rows, width, 3) shows where no triangle is hit; `rows` (first, one past the last) renders a band of the
+    picture alone, for rolling shutters.
     """
     first, last = rows or (0, camera.height)
     shape = ((last - first) * SAMPLES, camera.width * SAMPLES)
@@ -61,7 +62,7 @@ def render_surface(
 
 
 def _sample_positions(camera: Camera, vertices_m: NDArray, first_row: int) -> NDArray[np.float32]:
-    """Column, row on the sample grid and 1/z (0 where not in front), (n, 3): sample k lies at (k + 0.5) / SAMPLES - 0.5 pixels."""
+    """Column and row on the sample grid and 1/z, 0 where not in front, (n, 3); sample k lies at (k + 0.5) / SAMPLES - 0.5."""
     rotation, translation = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     out = np.empty((len(vertices_m), 3), np.float64)
     _project(np.ascontiguousarray(vertices_m, np.float64), rotation, translation, camera.matrix, camera.distortion, out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,11 @@ class Subject:
     """Vertices of the left and the right eyeball."""
     lip_zone: NDArray[np.int64]
     jaw_zone: NDArray[np.int64]
-    landmarks: dict[str, int]
-    inner_lips: tuple[NDArray[np.int64], NDArray[np.int64]]
-    """Three vertices each of the upper and lower inner lip, the middle one on the midline."""
     outside: NDArray[np.bool_]
     """(m,) triangles a scanner sees: not the mouth's inside nor the backs of the eyes."""
+    landmarks: dict[str, int] = field(default_factory=dict)
+    inner_lips: tuple[NDArray[np.int64], ...] = ()
+    """Three vertices each of the upper and lower inner lip, the middle one on the midline."""
 
     @property
     def rest_m(self) -> NDArray[np.float64]:
