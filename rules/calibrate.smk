@@ -5,6 +5,7 @@ INPUTS:   detections = results/{session}/calibrate/detections/{camera}.npz of ea
           offsets    = results/{session}/sync/board/sound.json
 OUTPUTS:  rig     = results/{session}/calibrate/rig.json
           timing  = results/{session}/calibrate/timing.json, start times of the board's recordings by the board's motion
+          colmap_cameras, opencv = the rig for other programs, in results/{session}/calibrate/
 """
 
 

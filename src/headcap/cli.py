@@ -55,7 +55,9 @@ def _parser() -> argparse.ArgumentParser:
     export = add("export", _export, "Write a rig or a mesh sequence in another program's format.")
     export.add_argument("source", type=Path, help="rig.json or sequence.json")
     export.add_argument("target", type=Path, help="file or folder to write")
-    export.add_argument("--format", required=True, choices=("npz", "pc2", "obj", "glb"), help="of a sequence")
+    export.add_argument(
+        "--format", required=True, help="npz, pc2, obj, glb of a sequence; colmap, opencv_yaml, kalibr, ... of a rig"
+    )
     export.add_argument("--template", type=Path, help="template or start.npz whose triangles a sequence has")
 
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from headcap.artifacts import ArtifactError
+from headcap.calibration.result import CalibrationResult
+from headcap.cameras.formats import WRITERS, write_rig
 from headcap.errors import InputError
 from headcap.export import write_glb, write_npz, write_obj, write_pc2
 from headcap.registration.sequence import MeshSequence
@@ -13,15 +15,21 @@ from headcap.registration.template import Template
 SEQUENCE_FORMATS = ("npz", "pc2", "obj", "glb")
 
 
+RIG_FORMATS = tuple(WRITERS)
+
+
 def convert(source: Path, target: Path, form: str, *, template: Path | None = None) -> Path:
-    """Write a mesh sequence to `target` in a format by name; returns `target`.
+    """Write a rig or a mesh sequence to `target` in a format by name; returns `target`.
 
     obj and glb are one file per frame in the folder `target`. `template` gives the topology of a sequence; by default
     the start.npz beside it. Raises `InputError` for an unknown format.
     """
+    if form in RIG_FORMATS:
+        write_rig(CalibrationResult.load(source).rig, target, form)
+        return target
     if form not in SEQUENCE_FORMATS:
-        remedy = "Name one of them."
-        raise InputError(f"format {form!r}", expected=f"one of {', '.join(SEQUENCE_FORMATS)}", remedy=remedy)
+        known = ", ".join(RIG_FORMATS + SEQUENCE_FORMATS)
+        raise InputError(f"format {form!r}", expected=f"one of {known}", remedy="Name one of them.")
     sequence = MeshSequence.load(source)
     if form == "pc2":
         write_pc2(target, sequence)
