@@ -196,8 +196,8 @@ class _Matcher:
         for sweep in range(sweeps):
             refine_sweep(
                 *self._geometry(index), refinement.noise_grey, bend * refinement.smoothness_px,
-                bend * refinement.smoothness_slope, refinement.discontinuity_px, refinement.converged_px, sweep % 2 == 1, planes.active, planes.settled,
-                planes.plane, planes.cost, planes.spread,
+                bend * refinement.smoothness_slope, refinement.discontinuity_px, refinement.converged_px, sweep % 2 == 1,
+                planes.active, planes.settled, planes.plane, planes.cost, planes.spread,
             )  # fmt: skip
 
     def map(self, view: View, index: int) -> DepthMap:

@@ -14,7 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
-from headcap.reconstruction.patchmatch import FROZEN, JIT, load_patch, pixel_of_disparity, window_offsets
+from headcap.reconstruction.patchmatch import FROZEN, JIT, correlate, load_patch, pixel_of_disparity, window_offsets
 
 
 @njit(**JIT)
@@ -162,19 +162,37 @@ def neighbour_prior(plane, active, row, column, cell_px, unit, w, a, b, sigma, s
 
 @njit(**JIT)
 def _assemble(
-    flat, area, stride, sizes, sources, m, t, u, v, w, a, b, du, dv, patch, energy, unit, noise2, weights, first, system, h, g
+    flat,
+    area,
+    stride,
+    sizes,
+    sources,
+    m,
+    t,
+    u,
+    v,
+    w,
+    a,
+    b,
+    du,
+    dv,
+    patch,
+    energy,
+    unit,
+    noise2,
+    weights,
+    correlation,
+    system,
+    h,
+    g,
 ):
-    """Sum all sources' systems into h, g; the first time their weights are chosen too. Returns the weighted energy."""
+    """Weigh the sources and sum their systems into h, g; returns the weighted energy."""
     n = len(sources)
     h[:], g[:] = 0.0, 0.0
     best = np.float32(-1.0)
-    correlation = weights[n:]
-    rows = system
     for s in range(n):
         source = sources[s]
         correlation[s] = -1.0
-        if not first and weights[s] == 0.0:
-            continue
         if sample_system(
             flat,
             source * area,
@@ -193,29 +211,39 @@ def _assemble(
             patch,
             energy,
             unit,
-            rows[s],
+            system[s],
         ):
-            correlation[s] = rows[s, 10]
-            best = max(best, rows[s, 10])
+            correlation[s] = system[s, 10]
+            best = max(best, system[s, 10])
     total = np.float32(0.0)
     for s in range(n):
-        if correlation[s] <= -1.0:
-            if first:
-                weights[s] = 0.0
-            elif weights[s] > 0.0:
-                return np.float32(1e30)
+        weights[s] = 0.0
+        if correlation[s] <= 0.1:
             continue
-        if first:
-            # an occluded source correlates far worse than the best one
-            lag = (best - correlation[s]) / (np.float32(1.0) - best + np.float32(0.15))
-            trust = np.float32(1.0) / (np.float32(1.0) + lag * lag)
-            spread = rows[s, 9] / np.float32(patch.size)
-            weights[s] = trust * trust / (noise2 + spread) if rows[s, 10] > 0.1 else np.float32(0.0)
+        # an occluded source correlates far worse than the best one
+        lag = (best - correlation[s]) / (np.float32(1.0) - best + np.float32(0.15))
+        trust = np.float32(1.0) / (np.float32(1.0) + lag * lag)
+        weights[s] = trust * trust / (noise2 + system[s, 9] / np.float32(patch.size))
         for k in range(6):
-            h[k] += weights[s] * rows[s, k]
+            h[k] += weights[s] * system[s, k]
         for k in range(3):
-            g[k] += weights[s] * rows[s, 6 + k]
-        total += weights[s] * rows[s, 9]
+            g[k] += weights[s] * system[s, 6 + k]
+        total += weights[s] * system[s, 9]
+    return total
+
+
+@njit(**JIT)
+def _weighted_energy(flat, area, stride, sizes, sources, m, t, u, v, w, a, b, du, dv, patch, energy, weights):
+    """The photographs' part of the energy with the weights held; what is left after the best gain is 1 - correlation^2."""
+    total = np.float32(0.0)
+    for s in range(len(sources)):
+        if weights[s] > 0.0:
+            source = sources[s]
+            cost = correlate(
+                flat, source * area, stride, sizes[source, 0], sizes[source, 1], m[s], t[s], u, v, w, a, b, du, dv, patch, energy
+            )
+            correlation = max(np.float32(1.0) - cost, np.float32(0.0))
+            total += weights[s] * energy * (np.float32(1.0) - correlation * correlation)
     return total
 
 
@@ -252,7 +280,8 @@ def refine_sweep(
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
     du, dv = window_offsets(cell_px, window_px)
     n = len(sources)
-    patch, weights = np.empty(du.size, np.float32), np.zeros(2 * n, np.float32)
+    patch = np.empty(du.size, np.float32)
+    weights, correlation = np.zeros(n, np.float32), np.zeros(n, np.float32)
     system = np.empty((n, 11), np.float32)
     h, g, step = np.empty(6, np.float32), np.empty(3, np.float32), np.zeros(3, np.float32)
     rows, columns = cost.shape
@@ -289,7 +318,7 @@ def refine_sweep(
             unit,
             noise2,
             weights,
-            True,
+            correlation,
             system,
             h,
             g,
@@ -297,7 +326,7 @@ def refine_sweep(
         trust, mean = np.float32(0.0), np.float32(0.0)
         for s in range(n):
             trust += weights[s]
-            mean += weights[s] * weights[n + s]
+            mean += weights[s] * correlation[s]
         if trust <= 0.0:
             active[row, column] = False
             continue
@@ -315,31 +344,7 @@ def refine_sweep(
             step[1] *= shrink
             step[2] *= shrink
         nw, na, nb = w + unit * step[0], a + unit * step[1], b + unit * step[2]
-        after = _assemble(
-            flat,
-            area,
-            stride,
-            sizes,
-            sources,
-            m,
-            t,
-            u,
-            v,
-            nw,
-            na,
-            nb,
-            du,
-            dv,
-            patch,
-            energy,
-            unit,
-            noise2,
-            weights,
-            False,
-            system,
-            h,
-            g,
-        )
+        after = _weighted_energy(flat, area, stride, sizes, sources, m, t, u, v, nw, na, nb, du, dv, patch, energy, weights)
         after += neighbour_prior(plane, active, row, column, cell_px, unit, nw, na, nb, sigma, sigma_slope, limit, h, g)
         if after < before:
             accepted += 1

@@ -12,7 +12,7 @@ class MatchingSettings(BaseModel):
 
     cell_px: Literal[1, 2, 3, 4] = Field(2, description="side of the square of pixels that shares one estimate")
     window_px: int = Field(8, ge=4, le=16, description="side of the matching window, pixels of the level it is used at")
-    sources: int = Field(5, ge=1, le=8, description="views that each view is matched with")
+    sources: int = Field(4, ge=1, le=8, description="views that each view is matched with")
     best_sources: int = Field(2, ge=1, le=8, description="sources whose correlations are averaged while hypotheses compete")
     min_angle_deg: float = Field(5.0, gt=0, lt=90, description="smallest angle at the subject between a view and a source")
     max_angle_deg: float = Field(50.0, gt=0, lt=120, description="largest angle at the subject between a view and a source")
@@ -52,9 +52,9 @@ class FusionSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    min_views: int = Field(3, ge=2, description="views that must agree on a point, its own included")
-    max_disparity_px: float = Field(0.5, gt=0, description="disagreement in depth, pixels of disparity between the two views")
-    max_normal_deg: float = Field(40.0, gt=0, le=180, description="largest angle between the normals of two views")
+    min_views: int = Field(2, ge=2, description="views that must agree on a point, its own included")
+    max_disparity_px: float = Field(0.45, gt=0, description="disagreement in depth, pixels of disparity between the two views")
+    max_normal_deg: float = Field(30.0, gt=0, le=180, description="largest angle between the normals of two views")
     max_viewing_deg: float = Field(78.0, gt=0, lt=90, description="a view that sees the surface more obliquely has no say")
     spacing_px: float = Field(
         1.3, ge=0, description="least distance of two points, in pixels of the rig's median view; 0 keeps all"
