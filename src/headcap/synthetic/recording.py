@@ -49,8 +49,9 @@ def write_recording(
 
 def _picture_stream(container: av.container.OutputContainer, video: VideoSettings) -> av.VideoStream:
     rate = Fraction(video.rate_hz).limit_denominator(1001)
-    # one thread: the same bits on every machine, and recordings are written side by side anyway
-    options = {"crf": str(video.crf), "preset": "veryfast", "threads": "1"}
+    # one thread gives the same bits every time, and recordings are written side by side anyway; the macroblock tree is left
+    # out because its floating-point part came out differently from run to run on a busy machine
+    options = {"crf": str(video.crf), "preset": "veryfast", "threads": "1", "x264-params": "mbtree=0:rc-lookahead=0"}
     stream = container.add_stream("libx264", rate=rate, options=options)
     stream.width, stream.height, stream.pix_fmt = video.width, video.height, "yuv420p"
     stream.codec_context.time_base = Fraction(1, 1) / (rate * _TICKS_PER_FRAME)

@@ -94,9 +94,9 @@ def write_take_truth(
     arrays = {
         "vertices_mm_i16": offsets,
         "first_m": first,
-        "unit": np.array([f"vertices = first_m + vertices_mm_i16*{UNIT_M:g} m"]),
+        "unit": np.array(f"vertices = first_m + vertices_mm_i16*{UNIT_M:g} m"),
         "time_s": time,
-        "reference_camera": np.array([reference]),
+        "reference_camera": np.array(reference),
         "blend_weights": np.array([[state[channel] for channel in MUSCLES + ARTICULATORS] for state in states]),
         "head_rotvec": np.array([[state[f"turn_{axis}"] for axis in "xyz"] for state in states]),
         "larynx_dy_m": np.array([state["larynx_mm"] / 1000 for state in states]),

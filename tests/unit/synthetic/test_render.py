@@ -56,7 +56,7 @@ def test_coverage_at_the_outline_is_the_area_seen():
     edge = np.linspace(-0.025, 0.025, 200)
     sides = [(edge, 0 * edge - 0.025), (0 * edge + 0.025, edge), (-edge, 0 * edge + 0.025), (0 * edge - 0.025, -edge)]
     rim = np.vstack([np.stack(side, axis=1) for side in sides])
-    x, y = camera.project(np.column_stack([rim, np.zeros(len(rim))]) + [0.01, 0, 0])[0].T
+    x, y = camera.project(np.column_stack([rim + np.array([0.01, 0]), np.zeros(len(rim))]))[0].T
     area = 0.5 * abs(x @ np.roll(y, 1) - y @ np.roll(x, 1))
     # 170 outline pixels, each wrong by at most 1/4 and at random: 0.25 / sqrt(12) * sqrt(170) = 1 pixel
     assert abs(covered - area) < 4
