@@ -37,5 +37,6 @@ def _seen(
     if len(facing):
         slope = np.sqrt(1 - np.clip(cosine[facing], 0, 1) ** 2) / np.maximum(cosine[facing], 1e-3)
         reach = _MARGIN_M + _PIXEL_REACH * slope * depth / camera.matrix[0, 0]
-        seen[facing] = depth <= rasterise(camera, vertices, triangles).depth[row, column] + reach
+        # a surface hides what lies behind it with its front: its back is seen only through the holes of an open mesh
+        seen[facing] = depth <= rasterise(camera, vertices, triangles, cull_back_faces=True).depth[row, column] + reach
     return seen
