@@ -32,7 +32,7 @@ wildcard_constraints:
     take="[A-Za-z0-9_-]+",
     recording="[A-Za-z0-9_-]+",
     camera="[A-Za-z0-9_-]+",
-    chunk="[0-9]{3,}",
+    chunk="[0-9]+",
 
 
 localrules:

@@ -1,10 +1,9 @@
-"""Sightings of the board to the rig, and to start times of the board's recordings by the board's motion."""
+"""Sightings of the board to the rig, with each camera's time offset by the board's motion."""
 
 from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.board import BoardSettings
-from headcap.calibration.board_timing import refine_timing
 from headcap.calibration.detection import CameraDetections
 from headcap.calibration.known import known_lenses
 from headcap.calibration.result import check_gates
@@ -19,7 +18,6 @@ def run(
     detections: list[Path],
     offsets: Path,
     rig: Path,
-    timing: Path,
     colmap_cameras: Path,
     opencv: Path,
     board: BoardSettings,
@@ -30,20 +28,17 @@ def run(
     seen, heard = [CameraDetections.load(path) for path in detections], TimeOffsets.load(offsets)
     result = calibrate(seen, heard, board, settings, known_lenses=known_lenses(intrinsics, seen))
     check_gates(result, settings.limits, allow)
-    refine_timing(result.rig, seen, heard, board, settings.timing).save(timing)
     for name, target in (("colmap", colmap_cameras.parent), ("opencv_yaml", opencv)):
         write_rig(result.rig, target, name)
     result.save(rig)
-    digest = digest_settings(settings=settings, board=board, intrinsics=intrinsics)
-    for artifact, kind, figures in ((rig, "rig", result.figures()), (timing, "time_offsets", {})):
-        write_manifest(
-            artifact,
-            kind=kind,
-            stage="calibrate",
-            settings_digest=digest,
-            inputs=[*detections, offsets],
-            figures=figures,
-        )
+    write_manifest(
+        rig,
+        kind="rig",
+        stage="calibrate",
+        settings_digest=digest_settings(settings=settings, board=board, intrinsics=intrinsics),
+        inputs=[*detections, offsets],
+        figures=result.figures(),
+    )
 
 
 if "snakemake" in globals():

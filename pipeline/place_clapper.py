@@ -14,17 +14,20 @@ def run(
     *,
     ingested: Path,
     rig: Path,
-    timing: Path,
+    offsets: Path,
     clapper: Path,
     clap: bool,
     clapper_m: tuple[float, float, float],
     settings: SyncSettings,
 ) -> None:
-    calibrated = CalibrationResult.load(rig).rig
+    result = CalibrationResult.load(rig)
+    timed = [camera for camera in result.cameras if camera.av_offset_s is not None]
     found = place_clapper(
         IngestedTake.load(ingested),
-        TimeOffsets.load(timing),
-        dict(zip(calibrated.names, calibrated.centres, strict=True)),
+        TimeOffsets.load(offsets),
+        {camera.camera: camera.av_offset_s for camera in timed},
+        {camera.camera: camera.av_offset_sigma_s for camera in timed},
+        dict(zip(result.rig.names, result.rig.centres, strict=True)),
         clapper_m,
         clap=clap,
         settings=settings,
@@ -35,7 +38,7 @@ def run(
         kind="clapper",
         stage="place_clapper",
         settings_digest=digest_settings(settings=settings, clap=clap, clapper_m=clapper_m),
-        inputs=[ingested, rig, timing],
+        inputs=[ingested, rig, offsets],
         figures={},
     )
 

@@ -1,1 +1,43 @@
-"""."""
+"""The scan to the subject in the model's topology."""
+
+from pathlib import Path
+
+from headcap.artifacts import digest_settings, save_json, write_manifest
+from headcap.artifacts.gates import enforce, judge
+from headcap.heads.procedural import base_head
+from headcap.registration.picks import read_picks
+from headcap.registration.register import RegisterSettings, register_scan
+from headcap.registration.scan import load_scan
+
+
+def run(
+    *,
+    scan: Path,
+    template: Path,
+    placement: Path,
+    described: dict,
+    limits: dict[str, float],
+    allow: tuple[str, ...],
+    settings: RegisterSettings,
+) -> None:
+    loaded = load_scan(described["file"], described["unit"])
+    picks = read_picks(described["picks"], described["unit"]) if described["picks"] else None
+    found = register_scan(base_head(), loaded, settings, picks)
+    remedy = "Check the scan's unit and that it shows the neutral face; or give picks of at least three landmarks."
+    enforce(judge(found.figures, limits, allow), remedy)
+    save_json(placement, "scan_placement", 1, {"base_from_scan": found.base_from_scan.tolist()})
+    found.template.save(template)
+    write_manifest(
+        template,
+        kind="template",
+        stage="register",
+        settings_digest=digest_settings(settings=settings, unit=described["unit"]),
+        inputs=[Path(described["file"])],
+        figures=found.figures,
+    )
+
+
+if "snakemake" in globals():
+    from adapter import run_rule
+
+    run_rule(run, snakemake)  # noqa: F821

@@ -4,19 +4,19 @@ Finds lenses and places of the cameras from the waved board.
 INPUTS:   detections = results/{session}/calibrate/detections/{camera}.npz of each camera
           offsets    = results/{session}/sync/board/sound.json
 OUTPUTS:  rig     = results/{session}/calibrate/rig.json
-          timing  = results/{session}/calibrate/timing.json, start times of the board's recordings by the board's motion
           colmap_cameras, opencv = the rig for other programs, in results/{session}/calibrate/
 """
 
 
 rule calibrate:
-    """The rig, the timing of the board's recordings, and held-out errors."""
+    """The rig, each camera's time offset by the board's motion, and held-out errors."""
     input:
         detections=detections,
         offsets="results/{session}/sync/board/sound.json",
     output:
         rig="results/{session}/calibrate/rig.json",
-        timing="results/{session}/calibrate/timing.json",
+        colmap_cameras="results/{session}/calibrate/colmap/cameras.txt",
+        opencv="results/{session}/calibrate/opencv.yaml",
     log:
         "results/{session}/logs/calibrate.log",
     benchmark:

@@ -128,8 +128,8 @@ def scan(wildcards):
     return session.path(session.scan.file)
 
 
-def scan_setting(wildcards):
-    """The scan's description with its paths from the data root."""
+def scan_paths(wildcards):
+    """The scan's files, from the data root, and its unit."""
     session = session_of(wildcards)
     described = session.scan.model_dump(mode="json")
     for key in ("file", "texture", "picks"):

@@ -2,7 +2,8 @@
 Brings the scan into the model's topology.
 
 INPUTS:   scan = the session's scan
-OUTPUTS:  template = results/{session}/register/template.npz, with the scan's texture
+OUTPUTS:  template  = results/{session}/register/template.npz, with the scan's texture
+          placement = results/{session}/register/placement.json, where the scan lay
 """
 
 
@@ -12,6 +13,7 @@ rule register:
         scan=scan,
     output:
         template="results/{session}/register/template.npz",
+        placement="results/{session}/register/placement.json",
     log:
         "results/{session}/logs/register.log",
     benchmark:
@@ -19,7 +21,7 @@ rule register:
     resources:
         mem_mb=3000,
     params:
-        described=scan_setting,
+        described=scan_paths,
         limits=limits("register"),
         allow=setting("allow"),
         settings=setting("register"),

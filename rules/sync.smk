@@ -36,7 +36,7 @@ rule place_clapper:
     input:
         ingested="results/{session}/ingest/calibration.json",
         rig="results/{session}/calibrate/rig.json",
-        timing="results/{session}/calibrate/timing.json",
+        offsets="results/{session}/sync/board/sound.json",
     output:
         clapper="results/{session}/sync/board/clapper.json",
     log:

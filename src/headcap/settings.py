@@ -20,6 +20,7 @@ from headcap.calibration.settings import CalibrateSettings
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
+from headcap.registration.register import RegisterSettings
 from headcap.registration.track_settings import TrackSettings
 from headcap.sync.settings import SyncSettings
 from headcap.synthetic.settings import RehearsalSettings
@@ -145,7 +146,7 @@ class Session(_Settings):
     calibrate: CalibrateSettings = CalibrateSettings()
     reconstruct: ReconstructSettings = ReconstructSettings()
     sync: SyncSettings = SyncSettings()
-    register_scan: dict = Field(default={}, alias="register")
+    register_scan: RegisterSettings = Field(default=RegisterSettings(), alias="register")
     track: TrackSettings = TrackSettings()
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(

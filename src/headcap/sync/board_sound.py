@@ -28,7 +28,9 @@ def read_sounds(take: IngestedTake) -> dict[str, tuple[NDArray[np.float32], int,
 
 def place_clapper(
     take: IngestedTake,
-    timing: TimeOffsets,
+    offsets: TimeOffsets,
+    picture_offset_s: Mapping[str, float],
+    picture_sigma_s: Mapping[str, float],
     camera_centres: Mapping[str, NDArray],
     clapper_m: NDArray,
     *,
@@ -37,20 +39,22 @@ def place_clapper(
 ) -> ClapperEstimate:
     """The clapper's place and each camera's lag of sound behind picture, from the board's recording.
 
-    `timing` are the start times by the board's motion, `clapper_m` is the rough place, in the frame of `camera_centres`.
-    Without a clap the rough place stands and no camera has a lag.
+    `offsets` are the start times that calibrate worked with, `picture_offset_s` what the board's motion adds to them and
+    `picture_sigma_s` how well; `clapper_m` is the rough place, in the frame of `camera_centres`. Where there was no clap, or
+    the board's motion tells nothing, the rough place stands and no camera has a lag.
     """
     rough = np.asarray(clapper_m, float)
-    if not clap:
-        return ClapperEstimate(rough, np.full(3, np.inf), dict.fromkeys(camera_centres, 0.0), 0.0)
+    if not clap or not picture_offset_s:
+        return ClapperEstimate(rough, np.full(3, np.inf), dict.fromkeys(camera_centres, 0.0), np.nan)
     sounds = read_sounds(take)
-    heard = synchronise(sounds, take=take.take, camera_centres=camera_centres, clapper_m=rough, settings=settings)
+    heard = synchronise(sounds, take=take.take, camera_centres=camera_centres, clapper_m=rough, settings=settings).offsets
     difference = {
-        camera: timing.start_s[timing.cameras.index(camera)] - heard.offsets.start_s[heard.offsets.cameras.index(camera)]
-        for camera in timing.cameras
+        camera: offsets.start_s[offsets.cameras.index(camera)] + moved - heard.start_s[heard.cameras.index(camera)]
+        for camera, moved in picture_offset_s.items()
         if len(sounds[camera][0])
     }
-    return refine_clapper(camera_centres, difference, rough, settings=settings)
+    sigma = {camera: picture_sigma_s[camera] for camera in difference}
+    return refine_clapper(camera_centres, difference, rough, picture_std_s=sigma, settings=settings)
 
 
 def save_clapper(estimate: ClapperEstimate, path: Path | str) -> None:
