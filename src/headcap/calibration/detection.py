@@ -13,22 +13,13 @@ from numpy.typing import NDArray
 
 from headcap.artifacts import load_arrays, save_arrays
 from headcap.calibration.board import BoardSettings, check_board
+from headcap.calibration.corners import BoardView, refine_corners
 from headcap.calibration.settings import DetectSettings
 from headcap.errors import InputError
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 KIND, SCHEMA = "board_detections", 1
-
-
-@dataclass(frozen=True)
-class BoardView:
-    """Corners of one board in one image."""
-
-    corner: NDArray[np.int64]
-    """(n,) index into `BoardSettings.corners`."""
-    pixels: Array
-    """(n, 2), integer pixel centres."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +149,10 @@ class BoardDetector:
             return _EMPTY
         # cv2.resize maps the pixel centre x to (x + 0.5) * scale - 0.5
         view = BoardView(view.corner, (view.pixels + 0.5) / scale - 0.5)
-        return BoardView(view.corner, refine_corners(image, view, self.board)[0])
+        pixels, _ = refine_corners(image, view, self.board)
+        found = np.isfinite(pixels).all(1)
+        view = BoardView(view.corner[found], pixels[found])
+        return view if len(view.corner) >= self.settings.min_corners else _EMPTY
 
     def _charuco_view(self, image: Grey) -> BoardView:
         pixels, ids, _, _ = self._charuco.detectBoard(image)
@@ -209,49 +203,13 @@ def _square_centre(grid: Array, row: int, column: int) -> Array:
     return grid[row : row + 2, column : column + 2].reshape(-1, 2).mean(0)
 
 
-def refine_corners(image: Grey, view: BoardView, board: BoardSettings) -> tuple[Array, float]:
-    """Sub-pixel places (n, 2) of corners near `view.pixels`, and how far (pixels) the search around each could reach.
-
-    The image is warped onto the board's plane, so that a foreshortened corner is refined in a square window that holds
-    as much of the image as it can without touching a marker; both cost several times the noise otherwise.
-    """
-    squares = board.corners[view.corner, :2] / (board.square_size_mm * 1e-3)
-    image_from_board, _ = cv2.findHomography(squares, view.pixels)
-    scale = _pixels_per_square(view.pixels, squares)
-    if image_from_board is None or not np.isfinite(scale):
-        return view.pixels, 0.0
-    board_from_flat = np.array([[1 / scale, 0, 0.5 / scale], [0, 1 / scale, 0.5 / scale], [0, 0, 1]])
-    image_from_flat = image_from_board @ board_from_flat
-    size = tuple(int(np.ceil(n * scale)) for n in board.squares)
-    flat = cv2.warpPerspective(
-        image, image_from_flat, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE
-    )
-    start = cv2.perspectiveTransform(view.pixels.reshape(-1, 1, 2), np.linalg.inv(image_from_flat)).astype(np.float32)
-    window = max(2, round(_clear_share(board) * scale))
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)
-    found = cv2.cornerSubPix(flat, start, (window, window), (-1, -1), criteria).astype(float)
-    return cv2.perspectiveTransform(found.reshape(-1, 1, 2), image_from_flat).reshape(-1, 2), float(window)
-
-
-def _pixels_per_square(pixels: Array, squares: Array) -> float:
-    """Side of the least foreshortened squares in the image, pixels; at most 64, which is resolution enough."""
-    apart = np.linalg.norm(squares[:, None] - squares[None], axis=2)
-    sides = np.linalg.norm(pixels[:, None] - pixels[None], axis=2)[np.abs(apart - 1) < 1e-6]
-    return float(np.clip(np.percentile(sides, 90), 8, 64)) if len(sides) else float("nan")
-
-
-def _clear_share(board: BoardSettings) -> float:
-    """Half window, in squares, that touches nothing but the four squares around a corner."""
-    if board.type == "chessboard":
-        return 0.3
-    return 0.85 * 0.5 * (1 - board.marker_size_mm / board.square_size_mm)
-
-
 def _still_neighbour(image: Grey, view: BoardView, board: BoardSettings) -> Array | None:
     """The same corners in a neighbouring frame if they moved less than half a refinement window, else None."""
     moved, reach = refine_corners(image, view, board)
     near = np.linalg.norm(moved - view.pixels, axis=1) < 0.5 * reach
-    return moved if near.mean() > 0.9 else None
+    if near.mean() < 0.9:
+        return None
+    return np.where(near[:, None], moved, view.pixels + np.median(moved[near] - view.pixels[near], axis=0))
 
 
 def _smooth(view: BoardView, values: Array) -> Array:
@@ -303,8 +261,8 @@ def detect_recording(
 
     `start_s` is the common time of presentation time zero as far as known: with it all cameras search the same moments.
     `times_s` replaces the presentation times by frame number. A slowly moving corner is averaged over three frames and gets
-    its velocity from them; elsewhere it comes from the sightings one frame away, if they were searched. Raises `InputError` if another board
-    than described is seen.
+    its velocity from them; elsewhere it comes from the sightings one frame away, if they were searched. Raises `InputError`
+    if another board than described is seen.
     """
     settings = settings or DetectSettings()
     interval_s = settings.interval_s
@@ -378,7 +336,7 @@ def _velocity_between(sightings: list[_Sighting], index: int) -> Array:
     now = sightings[index]
     out = np.full(now.view.pixels.shape, np.nan)
     near = [s for s in sightings[max(0, index - 1) : index + 2] if abs(s.frame - now.frame) <= 1]
-    if len(near) < 2:
+    if len(near) < 3:
         return out
     first, last = near[0], near[-1]
     shared, a, b = np.intersect1d(first.view.corner, last.view.corner, return_indices=True)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.calibration.detection import BoardView, CameraDetections
+from headcap.calibration.corners import BoardView
+from headcap.calibration.detection import CameraDetections
 from headcap.calibration.settings import GroupSettings
 from headcap.sync.offsets import TimeOffsets
 

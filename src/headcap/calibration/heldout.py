@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from headcap.calibration.grouping import BoardPose
 from headcap.calibration.intrinsics import Lens
 from headcap.calibration.rig import view_residuals
 from headcap.calibration.start import joined_board_pose
 from headcap.cameras import Rig
-from headcap.geometry.transforms import from_vector
+from headcap.geometry.transforms import from_vector, transform
 
 Array = NDArray[np.float64]
 
@@ -55,12 +54,16 @@ def split_poses(poses: Sequence[BoardPose], share: float) -> tuple[list[int], li
 
 
 def measure_heldout(rig: Rig, poses: Sequence[BoardPose], corners: Array) -> HeldOut:
-    """Solve each pose of the board alone and collect what remains, corners that stand far out included."""
+    """Solve each pose of the board alone and collect what remains, false corners included.
+
+    A view of another pose than the others (`without_strange_views`) is left out: there the poses were joined wrongly.
+    """
     residuals: dict[str, list[Array]] = {name: [] for name in rig.names}
     lengths = []
     for pose in poses:
         if not pose.views:
             continue
+        pose = without_strange_views(rig, pose, corners)
         world_from_board = solve_board_pose(rig, pose, corners)
         for name, view in pose.views.items():
             residuals[name].append(np.linalg.norm(view_residuals(rig[name], world_from_board, view, corners), axis=1))
@@ -69,19 +72,53 @@ def measure_heldout(rig: Rig, poses: Sequence[BoardPose], corners: Array) -> Hel
     return HeldOut(packed, np.concatenate(lengths) if lengths else np.empty(0))
 
 
+def without_strange_views(rig: Rig, pose: BoardPose, corners: Array, *, times: float = 20.0, floor_px: float = 2.0) -> BoardPose:
+    """The pose without views that show the board elsewhere: it moved unseen between their frames.
+
+    A view goes, worst first, while its median residual exceeds `floor_px` and `times` the median of all corners.
+    """
+    while len(pose.views) > 2:
+        world_from_board = solve_board_pose(rig, pose, corners)
+        lengths = {
+            name: np.linalg.norm(view_residuals(rig[name], world_from_board, view, corners), axis=1)
+            for name, view in pose.views.items()
+        }
+        median = {name: float(np.median(np.nan_to_num(values, nan=np.inf))) for name, values in lengths.items()}
+        worst = max(median, key=median.get)
+        if median[worst] <= max(floor_px, times * float(np.median(list(median.values())))):
+            break
+        pose = replace(pose, views={name: view for name, view in pose.views.items() if name != worst})
+    return pose
+
+
 def solve_board_pose(rig: Rig, pose: BoardPose, corners: Array, *, loss_px: float = 0.5) -> Array:
-    """world_from_board (4, 4) of one pose from all its views (soft L1 loss at `loss_px`)."""
+    """world_from_board (4, 4) of one pose from all its views (Gauss-Newton, Cauchy loss at `loss_px`)."""
     lenses = {c.name: Lens(c.width, c.height, c.matrix, c.distortion) for c in rig}
-    start = joined_board_pose(pose, lenses, {c.name: c.camera_from_world for c in rig}, corners)
+    world_from_board = joined_board_pose(pose, lenses, {c.name: c.camera_from_world for c in rig}, corners)
+    # a wide loss first: the start is good to some pixels only
+    for loss in (*np.geomspace(16 * loss_px, loss_px, 4), *[loss_px] * 6):
+        step = _pose_step(rig, pose, corners, world_from_board, loss)
+        world_from_board = from_vector(step) @ world_from_board
+        if loss == loss_px and np.abs(step).max() < 1e-10:
+            break
+    return world_from_board
 
-    def residual(step: Array) -> Array:
-        world_from_board = from_vector(step) @ start
-        parts = [view_residuals(rig[name], world_from_board, view, corners).ravel() for name, view in pose.views.items()]
-        return np.nan_to_num(np.concatenate(parts), nan=1e3)
 
-    # the step turns about the world's origin, so angles and metres are of like size in pixels
-    solved = least_squares(residual, np.zeros(6), loss="soft_l1", f_scale=loss_px, x_scale="jac", max_nfev=50)
-    return from_vector(solved.x) @ start
+def _pose_step(rig: Rig, pose: BoardPose, corners: Array, world_from_board: Array, loss_px: float) -> Array:
+    """(6,) rotation vector about the world's origin and shift that lessen the residuals of all views."""
+    normal, right = 1e-9 * np.eye(6), np.zeros(6)
+    for name, view in pose.views.items():
+        world = transform(world_from_board, corners[view.corner])
+        pixels, by_world = rig[name].project_with_jacobian(world)
+        x, y, z = world.T
+        zero = np.zeros_like(x)
+        turn = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], axis=1)
+        jacobian = np.concatenate([by_world @ turn, by_world], axis=2)
+        residual = view.pixels - pixels
+        trust = 1 / (1 + (residual**2).sum(1) / loss_px**2)
+        normal += np.einsum("nri,nrj,n->ij", jacobian, jacobian, trust)
+        right += np.einsum("nri,nr,n->i", jacobian, residual, trust)
+    return np.linalg.solve(normal, right)
 
 
 def triangulate(rig: Rig, seen: Sequence[tuple[str, Array]]) -> Array:

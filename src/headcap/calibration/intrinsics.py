@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.calibration.detection import BoardView
+from headcap.calibration.corners import BoardView
 from headcap.errors import InputError
 
 Array = NDArray[np.float64]

@@ -60,6 +60,8 @@ class _CameraData:
     board: Array
     pixels: Array
     sighting: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    """(sightings,) 0 where three frames of a slow board were averaged, 1 elsewhere: their noise differs."""
 
 
 @dataclass(frozen=True)
@@ -97,18 +99,18 @@ def fit_motion(
     trajectory = _start(rig, detections, offsets, corners, settings, without_s)
     state = _State(rig, trajectory, np.zeros(len(rig)))
     free = _free_parameters(rig, free_cameras, constant_lenses)
-    sigma_px = 1.0
+    sigma_px = np.ones(2)
     for _ in range(settings.iterations):
         sums = [_sums(c, d, state.trajectory, o, sigma_px) for c, d, o in zip(state.rig, data, state.offset_s, strict=True)]
-        sigma_px = float(np.clip(np.median(np.concatenate([s.residual_px for s in sums])) / np.sqrt(2), 0.03, 1.0))
-        state, covariance = _step(state, sums, free, settings.max_offset_s)
+        sigma_px = _noise(data, sums)
+        state, _ = _step(state, sums, free, settings.max_offset_s)
     sums = [_sums(c, d, state.trajectory, o, sigma_px) for c, d, o in zip(state.rig, data, state.offset_s, strict=True)]
-    _, covariance = _step(state, sums, free, settings.max_offset_s)
+    _, sigma_s = _step(state, sums, free, settings.max_offset_s)
     mean = state.offset_s.mean()
     return MotionFit(
         rig=state.rig,
         offset_s=state.offset_s - mean,
-        offset_sigma_s=covariance,
+        offset_sigma_s=sigma_s,
         residual_px=np.concatenate([s.residual_px for s in sums]),
         speed_px_s=np.concatenate([s.speed_px_s for s in sums]),
         camera=np.repeat(np.arange(len(sums)), [len(s.first) for s in sums]),
@@ -121,6 +123,13 @@ class _State:
     rig: Rig
     trajectory: Trajectory
     offset_s: Array
+
+
+def _noise(data: Sequence[_CameraData], sums: Sequence[_Sums]) -> Array:
+    """(2,) standard deviation of a pixel coordinate for each kind of sighting, from the median of their rms."""
+    kind, residual = np.concatenate([d.kind for d in data]), np.concatenate([s.residual_px for s in sums])
+    every = float(np.median(residual))
+    return np.array([np.clip(np.median(residual[kind == k]) if (kind == k).any() else every, 0.03, 1.5) for k in (0, 1)]) / 2**0.5
 
 
 def _kept(time_s: Array, without_s: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
@@ -139,7 +148,8 @@ def _camera_data(
     rows = np.concatenate([np.arange(seen.first[i], seen.first[i + 1]) for i in chosen] or [np.empty(0, int)]).astype(int)
     first = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int) if len(counts) else np.empty(0, int)
     sighting = np.repeat(np.arange(len(chosen)), counts)
-    return _CameraData(time_s[chosen], first, corners[seen.corner[rows]], seen.pixels[rows], sighting)
+    kind = np.isnan(seen.speed_px_s()[chosen]).astype(int)
+    return _CameraData(time_s[chosen], first, corners[seen.corner[rows]], seen.pixels[rows], sighting, kind)
 
 
 def _start(
@@ -193,7 +203,7 @@ def _skew(vector: Array) -> Array:
     return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], axis=-2)
 
 
-def _sums(camera: Camera, data: _CameraData, trajectory: Trajectory, offset_s: float, sigma_px: float) -> _Sums:
+def _sums(camera: Camera, data: _CameraData, trajectory: Trajectory, offset_s: float, sigma_px: Array) -> _Sums:
     """Residuals and derivatives of one camera, summed over the corners of each sighting."""
     first, weights, _ = trajectory.basis(data.time_s + offset_s)
     state, rate = trajectory.states(data.time_s + offset_s)
@@ -210,7 +220,7 @@ def _sums(camera: Camera, data: _CameraData, trajectory: Trajectory, offset_s: f
     jacobian = np.concatenate([by_state, *by_camera], axis=2)
     residual = data.pixels - pixels
     length2 = (residual**2).sum(1)
-    trust = 1 / (sigma_px**2 + length2 / 9)
+    trust = 1 / ((sigma_px**2)[data.kind][data.sighting] + length2 / 9)
     normal = np.einsum("nri,nrj,n->nij", jacobian, jacobian, trust, optimize=True)
     gradient = np.einsum("nri,nr,n->ni", jacobian, residual, trust)
     count = np.diff(np.append(data.first, len(data.board)))

@@ -31,6 +31,9 @@ class CameraFigures:
     corners: int
     rejected: int
     """Corners left out as outliers."""
+    av_offset_s: float | None = None
+    """Visual minus audible time, the mean over cameras taken out; None where the board's motion does not tell."""
+    av_offset_sigma_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,12 @@ class CalibrationResult:
             "calibrate.poses": float(min(c.poses for c in self.cameras)),
         }
         return {name: float(value) for name, value in named.items() if np.isfinite(value)}
+
+    def av_offset_s(self) -> dict[str, float] | None:
+        """Visual minus audible time by camera, None where the board's motion does not tell."""
+        if any(camera.av_offset_s is None for camera in self.cameras):
+            return None
+        return {camera.camera: camera.av_offset_s for camera in self.cameras}
 
     def save(self, path: Path | str) -> None:
         """Write as JSON artifact `headcap.rig/1`."""

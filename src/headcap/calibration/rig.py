@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 from numpy.typing import NDArray
 
-from headcap.calibration.detection import BoardView
+from headcap.calibration.corners import BoardView
 from headcap.calibration.grouping import BoardPose
 from headcap.calibration.intrinsics import Lens
 from headcap.calibration.settings import RigSettings

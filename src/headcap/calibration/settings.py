@@ -20,7 +20,7 @@ class DetectSettings(_Frozen):
 class GroupSettings(_Frozen):
     """How detections of all cameras at nearly one moment become one board pose."""
 
-    window_s: float = Field(0.05, gt=0, description="detections up to this far from a pose's moment can serve it")
+    window_s: float = Field(0.03, gt=0, description="detections up to this far from a pose's moment can serve it")
     max_speed_px_s: float = Field(150.0, gt=0, description="frames in which corners move faster are left out")
     max_shift_px: float = Field(1.5, gt=0, description="largest correction of corners for the time to the pose's moment")
     min_cameras: int = Field(2, ge=1, description="cameras that must see a pose")
@@ -52,10 +52,13 @@ class CalibrateLimits(_Frozen):
 class TimingSettings(_Frozen):
     """Camera time offsets from the moving board."""
 
-    knot_s: float = Field(0.01, gt=0, description="finest knot interval of the board's trajectory")
-    sightings_per_knot: float = Field(2.5, gt=0, description="the knot interval grows until this many sightings fall into one")
+    knot_s: float = Field(0.007, gt=0, description="finest knot interval of the board's trajectory")
+    sightings_per_knot: float = Field(1.5, gt=0, description="the knot interval grows until this many sightings fall into one")
     max_offset_s: float = Field(0.05, gt=0, description="offsets beyond this are not searched")
     iterations: int = Field(8, ge=1, description="Gauss-Newton steps")
+    least_moving: int = Field(8, ge=1, description="sightings of the moving board that each camera needs")
+    coarsest_knot_s: float = Field(0.05, gt=0, description="where sightings allow no finer knots, motion is not used")
+    moving_over_still: float = Field(2.5, gt=1, description="motion is used if its residual is at most this multiple")
 
 
 class BumpSettings(_Frozen):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,13 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.detection import CameraDetections
 from headcap.calibration.gauge import canonical_frame
 from headcap.calibration.grouping import BoardPose, cell_count, group_poses, image_cells
-from headcap.calibration.heldout import HeldOut, measure_heldout, split_poses
+from headcap.calibration.heldout import HeldOut, measure_heldout, solve_board_pose, split_poses
 from headcap.calibration.intrinsics import Lens, start_lens
 from headcap.calibration.result import CalibrationResult, CameraFigures, SolvedPose
 from headcap.calibration.rig import Adjusted, adjust_rig
 from headcap.calibration.settings import CalibrateSettings
 from headcap.calibration.start import start_poses
+from headcap.calibration.timing import VisualTiming, moving_enough, trusted, try_motion, visual_timing
 from headcap.errors import InputError, InputErrors
 from headcap.sync.offsets import TimeOffsets
 
@@ -34,7 +36,8 @@ def calibrate(
     """Calibrate all cameras of a session from one recording of a board.
 
     Board poses are grouped over cameras by the common time of `offsets`; the rig is first fitted without the held-out
-    poses, which measure it, and then with all. The result is in the rig's canonical frame (`gauge`). Raises `InputErrors`
+    poses, which measure it, and then with all. Sightings of the moving board refine it and give each camera's time offset
+    where they fit as well as still ones do. The result is in the rig's canonical frame (`gauge`). Raises `InputErrors`
     or `InputError` that name cameras which cannot be solved; gates are `result.check_gates`.
     """
     seen = {d.camera: d for d in detections}
@@ -44,26 +47,63 @@ def calibrate(
     camera_from_rig, rig_from_board = start_poses(poses, lenses, board.corners, tuple(seen))
     kept = frozenset(known) if settings.rig.keep_known_intrinsics else frozenset()
     fit, held = split_poses(poses, settings.rig.heldout_share)
-    trial = adjust_rig(
+    moving = moving_enough(detections, settings.timing)
+    problem = _Problem(detections, offsets, board, settings, kept, moving)
+    trial, _ = problem.solve(
         [poses[i] for i in fit],
-        board.corners,
         lenses,
         camera_from_rig,
         [rig_from_board[i] for i in fit],
-        settings.rig,
-        constant_lenses=kept,
+        without=[poses[i].time_s for i in held],
     )
     heldout = measure_heldout(trial.rig, [poses[i] for i in held], board.corners)
-    final = adjust_rig(
-        poses,
-        board.corners,
-        {c.name: Lens(c.width, c.height, c.matrix, c.distortion) for c in trial.rig},
-        {c.name: c.camera_from_world for c in trial.rig},
-        rig_from_board,
-        settings.rig,
-        constant_lenses=kept,
-    )
-    return _result(final, heldout, len(held), seen)
+    final, timing = problem.solve(poses, lenses, camera_from_rig, rig_from_board)
+    return _result(final, heldout, len(held), seen, timing)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """What stays the same between the trial without held-out poses and the final adjustment."""
+
+    detections: Sequence[CameraDetections]
+    offsets: TimeOffsets
+    board: BoardSettings
+    settings: CalibrateSettings
+    constant_lenses: frozenset[str]
+    moving: bool
+
+    def solve(
+        self,
+        poses: Sequence[BoardPose],
+        lenses: Mapping[str, Lens],
+        camera_from_rig: Mapping[str, Array],
+        rig_from_board: Sequence[Array],
+        *,
+        without: Sequence[float] = (),
+    ) -> tuple[Adjusted, VisualTiming | None]:
+        """Still poses first; then the board's whole motion, where it fits as well as the still poses do."""
+        corners, rig_settings = self.board.corners, self.settings.rig
+        adjusted = adjust_rig(
+            poses, corners, lenses, camera_from_rig, rig_from_board, rig_settings, constant_lenses=self.constant_lenses
+        )
+        if not self.moving:
+            return adjusted, None
+        # a held-out pose is left out with all that was seen of it: the board may have been still for longer
+        reach = 2 * self.settings.group.window_s
+        fit = try_motion(
+            adjusted.rig,
+            self.detections,
+            self.offsets,
+            self.board,
+            self.settings.timing,
+            free_cameras=True,
+            constant_lenses=self.constant_lenses,
+            without_s=[(time - reach, time + reach) for time in without],
+        )
+        if fit is None or not trusted(fit, self.settings.timing):
+            return adjusted, None
+        board_poses = tuple(solve_board_pose(fit.rig, pose, corners) for pose in adjusted.poses)
+        return replace(adjusted, rig=fit.rig, world_from_board=board_poses), visual_timing(fit)
 
 
 def _start_lenses(
@@ -83,11 +123,13 @@ def _start_lenses(
     return lenses
 
 
-def _result(final: Adjusted, heldout: HeldOut, held: int, seen: Mapping[str, CameraDetections]) -> CalibrationResult:
+def _result(
+    final: Adjusted, heldout: HeldOut, held: int, seen: Mapping[str, CameraDetections], timing: VisualTiming | None
+) -> CalibrationResult:
     canonical_from_rig = canonical_frame(final.rig)
     return CalibrationResult(
         rig=final.rig.transformed(canonical_from_rig),
-        cameras=tuple(_camera_figures(name, final, heldout, seen[name]) for name in final.rig.names),
+        cameras=tuple(_camera_figures(name, final, heldout, seen[name], timing) for name in final.rig.names),
         heldout_rms_px=heldout.rms_px(),
         heldout_p95_px=heldout.p95_px(),
         board_scale_error_mm=heldout.board_scale_error_mm(),
@@ -99,7 +141,9 @@ def _result(final: Adjusted, heldout: HeldOut, held: int, seen: Mapping[str, Cam
     )
 
 
-def _camera_figures(name: str, final: Adjusted, heldout: HeldOut, seen: CameraDetections) -> CameraFigures:
+def _camera_figures(
+    name: str, final: Adjusted, heldout: HeldOut, seen: CameraDetections, timing: VisualTiming | None
+) -> CameraFigures:
     views = [pose.views[name] for pose in final.poses if name in pose.views]
     pixels = np.concatenate([v.pixels for v in views] or [np.empty((0, 2))])
     cells = len(np.unique(image_cells(pixels, seen.width, seen.height)))
@@ -111,6 +155,8 @@ def _camera_figures(name: str, final: Adjusted, heldout: HeldOut, seen: CameraDe
         poses=len(views),
         corners=len(pixels),
         rejected=final.rejected[name],
+        av_offset_s=None if timing is None else timing.av_offset_s[timing.cameras.index(name)],
+        av_offset_sigma_s=None if timing is None else timing.sigma_s[timing.cameras.index(name)],
     )
 
 

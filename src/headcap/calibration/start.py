@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from headcap.calibration.detection import BoardView
+from headcap.calibration.corners import BoardView
 from headcap.calibration.grouping import BoardPose
 from headcap.calibration.intrinsics import Lens
 from headcap.errors import InputError
