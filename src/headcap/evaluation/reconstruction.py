@@ -45,9 +45,14 @@ def summarise_clouds(clouds: list[CloudErrors]) -> dict[str, float]:
     return {
         "reconstruct.error_median_mm": float(np.median(error)),
         "reconstruct.error_p90_mm": float(np.percentile(error, 90)),
-        "reconstruct.completeness_half_mm": float(100 * np.mean(gap <= 0.5)),
-        "reconstruct.completeness_1mm": float(100 * np.mean(gap <= 1.0)),
+        "reconstruct.completeness_half_mm": _share_within(gap, 0.5),
+        "reconstruct.completeness_1mm": _share_within(gap, 1.0),
     }
+
+
+def _share_within(gap_mm: NDArray, reach_mm: float) -> float:
+    """Percent of gaps within reach; NaN where no part of the surface is seen by enough cameras."""
+    return float(100 * np.mean(gap_mm <= reach_mm)) if len(gap_mm) else float("nan")
 
 
 def sample_surface(vertices: NDArray, triangles: NDArray, count: int, seed: int = 0) -> tuple[NDArray, NDArray]:

@@ -53,12 +53,12 @@ class TrackingErrors:
         surface, drift = self.surface_mm[self.seen], self.drift_mm[self.seen]
         gap_error = self.lip_gap_mm - self.true_lip_gap_mm
         return {
-            "track.surface_error_median_mm": float(np.nanmedian(surface)),
-            "track.surface_error_p95_mm": float(np.nanpercentile(surface, 95)),
-            "track.drift_median_mm": float(np.nanmedian(drift)),
-            "track.drift_p95_mm": float(np.nanpercentile(drift, 95)),
-            "track.drift_all_median_mm": float(np.nanmedian(self.drift_mm)),
-            "track.drift_all_p95_mm": float(np.nanpercentile(self.drift_mm, 95)),
+            "track.surface_error_median_mm": _percentile(surface, 50),
+            "track.surface_error_p95_mm": _percentile(surface, 95),
+            "track.drift_median_mm": _percentile(drift, 50),
+            "track.drift_p95_mm": _percentile(drift, 95),
+            "track.drift_all_median_mm": _percentile(self.drift_mm, 50),
+            "track.drift_all_p95_mm": _percentile(self.drift_mm, 95),
             "track.lip_gap_error_mm": float(np.sqrt(np.mean(gap_error**2))),
         }
 
@@ -72,6 +72,11 @@ class TrackingErrors:
         """Read what `save` wrote; raises `ArtifactError`."""
         arrays, meta = load_arrays(path, KIND, SCHEMA)
         return cls(take=meta["take"], **arrays)
+
+
+def _percentile(values: NDArray, percent: float) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.percentile(known, percent)) if len(known) else float("nan")
 
 
 def compare_sequence(

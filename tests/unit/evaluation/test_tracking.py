@@ -1,8 +1,12 @@
 """Tracked meshes against the true surface: sliding shows as drift alone, lifting as both, lips by their own points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from headcap.cameras import Rig
+from headcap.evaluation.reconstruction import compare_cloud, summarise_clouds
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.ties import at_border, tie
 from headcap.evaluation.tracking import TrackingErrors, compare_sequence
@@ -78,6 +82,22 @@ def test_lip_gap_follows_the_material_points(still_world, tmp_path):
 def test_a_template_without_lips_measures_no_gap(still_world, tmp_path):
     errors = compare(still_world, [still_world.motion(0.0)] * 4, tmp_path)
     assert np.isnan(errors.figures()["track.lip_gap_error_mm"])
+
+
+def test_a_rig_that_sees_nothing_measures_nothing(still_world, tmp_path):
+    rig = Rig(still_world.rig.cameras[:2])  # two cameras, three are asked for
+    truth = Truth(still_world.folder)
+    sequence = still_world.sequence(np.asarray([still_world.motion(0.0)] * 4), tmp_path)
+    pair = replace(truth)
+    pair.__dict__["rig"] = rig
+    errors = compare_sequence(
+        sequence, still_world.template(), pair, rig=rig, truth_world_from_world=np.eye(4), clock_shift_s=0.0
+    )
+    assert np.isnan(errors.figures()["track.drift_median_mm"])
+    cloud = compare_cloud(still_world.motion(0.0), still_world.motion(0.0), still_world.triangles, rig)
+    figures = summarise_clouds([cloud])
+    assert np.isnan(figures["reconstruct.completeness_1mm"])
+    assert figures["reconstruct.error_p90_mm"] < 1e-9
 
 
 def test_errors_come_back_from_disk(still_world, tmp_path):
