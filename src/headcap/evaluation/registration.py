@@ -1,13 +1,17 @@
 """A registered template against the scan it was fitted to; no truth is needed."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from headcap.artifacts import load_json
 from headcap.evaluation.ties import at_border
+from headcap.geometry.transforms import transform
 from headcap.meshes.closest_point import Surface
 from headcap.meshes.normals import triangle_normals
+from headcap.registration.scan import Scan
 from headcap.registration.template import Template
 
 # What a scan of a face with closed lips and a camera outside cannot show.
@@ -44,6 +48,15 @@ def compare_registration(template: Template, scan_vertices: NDArray, scan_triang
     for name in NOT_SCANNED:
         error[template.regions.get(name, np.zeros(len(error), bool))] = np.nan
     return RegistrationErrors(error, count_flipped(template.vertices, template.triangles))
+
+
+def place_scan(scan: Scan, placement: Path | str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """A scan's vertices (v, 3) in the registered template's frame, metres, and its triangles (m, 3).
+
+    `placement` is the `headcap.scan_placement/1` that register wrote; raises `ArtifactError` for another file.
+    """
+    base_from_scan = np.array(load_json(placement, "scan_placement", 1)["base_from_scan"])
+    return transform(base_from_scan, scan.vertices), scan.triangles
 
 
 def count_flipped(vertices: NDArray, triangles: NDArray) -> int:

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from headcap.artifacts import ArtifactError, write_manifest
+from headcap.artifacts import ArtifactError, save_json, write_manifest
 from headcap.evaluation.metrics import describe, load_metrics, make_figure, save_metrics
-from headcap.evaluation.registration import compare_registration, count_flipped
+from headcap.evaluation.registration import compare_registration, count_flipped, place_scan
 from headcap.evaluation.session import SessionFolder, evaluate_session, spread
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.truth import Truth
-from headcap.geometry.transforms import from_vector, transform
+from headcap.geometry.transforms import from_vector, invert, transform
 from headcap.reconstruction.points import PointCloud
+from headcap.registration.scan import Scan
 from headcap.sync.offsets import TimeOffsets
 
 
@@ -75,6 +76,15 @@ def test_registration_error_leaves_out_what_no_scan_shows(still_world):
     assert errors.figures()["register.error_p95_mm"] == pytest.approx(0.1, abs=1e-9)
     assert np.isnan(errors.surface_mm[5 * 41 + 5])
     assert np.isnan(errors.surface_mm[:41]).all()  # the sheet's border: beyond it the scan has nothing to compare with
+
+
+def test_a_scan_is_placed_where_register_left_it(still_world, tmp_path):
+    base_from_scan = from_vector(np.array([0.3, -0.8, 0.4, 0.5, -1.0, 0.2]))
+    save_json(tmp_path / "placement.json", "scan_placement", 1, {"base_from_scan": base_from_scan.tolist()})
+    plane = still_world.motion(0.0)
+    scan = Scan(transform(invert(base_from_scan), plane), still_world.triangles)
+    errors = compare_registration(still_world.template(), *place_scan(scan, tmp_path / "placement.json"))
+    assert errors.figures()["register.error_p95_mm"] < 1e-9
 
 
 def test_flipped_and_empty_triangles_are_counted(still_world):
