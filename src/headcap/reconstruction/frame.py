@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.cameras import Rig
+from headcap.errors import InputError
+from headcap.reconstruction.colmap_engine import estimate_maps_colmap, fuse_colmap, has_cuda
 from headcap.reconstruction.estimate import Mesh, estimate_maps
 from headcap.reconstruction.fusion import fuse
 from headcap.reconstruction.points import PointCloud
@@ -28,5 +30,18 @@ def reconstruct_frame(
     Raises `InputError` for fewer than three cameras, wrong sizes, or where no point is found.
     """
     settings = settings or ReconstructSettings()
-    maps = estimate_maps(rig, images_bgr, settings=settings, prior=prior, masks=masks)
-    return fuse(maps, time_s=time_s, settings=settings.fusion, cell_px=settings.matching.cell_px)
+    if settings.engine == "colmap" or (settings.engine == "auto" and has_cuda()):
+        maps, cell_px = estimate_maps_colmap(rig, images_bgr, settings=settings, masks=masks), 1
+    else:
+        maps, cell_px = estimate_maps(rig, images_bgr, settings=settings, prior=prior, masks=masks), settings.matching.cell_px
+    if settings.fusion_engine == "colmap":
+        cloud = fuse_colmap(maps, time_s=time_s, settings=settings)
+    else:
+        cloud = fuse(maps, time_s=time_s, settings=settings.fusion, cell_px=cell_px)
+    if not len(cloud):
+        raise InputError(
+            f"no point at {time_s:.3f} s",
+            expected="views that agree on a surface",
+            remedy="Check the calibration, the time offsets and the exposure of the recordings.",
+        )
+    return cloud
