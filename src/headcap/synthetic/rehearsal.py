@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +18,7 @@ from headcap.heads.procedural import base_head
 from headcap.meshes.normals import vertex_normals
 from headcap.synthetic import truth
 from headcap.synthetic.board import BoardMotion, BoardPainter, wave_board
+from headcap.synthetic.crew import Piece, carry_out
 from headcap.synthetic.growth import grow_subject
 from headcap.synthetic.lighting import Lights, illuminate
 from headcap.synthetic.performance import Performance, perform
@@ -32,7 +31,7 @@ from headcap.synthetic.settings import RehearsalSettings
 from headcap.synthetic.sound import record, take_sources
 from headcap.synthetic.subject import Subject
 
-CALIBRATION = "calibration"
+CALIBRATION, DESCRIPTION = "calibration", "rehearsal.json"
 Progress = Callable[[int, int, str], None]
 """Called with pieces done, pieces in all, and what was just finished."""
 
@@ -86,28 +85,28 @@ def performance_of(settings: RehearsalSettings, take: str) -> Performance:
 def rehearse(settings: RehearsalSettings, folder: Path | str, *, progress: Progress | None = None, workers: int = 1) -> Rehearsal:
     """Write a whole rehearsal into `folder`: `calibration/`, `takes/<take>/`, `scan/`, `board.yaml`, `rehearsal.json`, `truth/`.
 
-    `workers` processes render recordings side by side; the files do not depend on their number.
+    `rehearsal.json` comes last: where it is, all else is there. `workers` processes render recordings side by side; the
+    files do not depend on their number.
     """
     rehearsal, folder = plan(settings), Path(folder)
-    pieces: list[tuple] = [(rehearse_recording, settings, name, c) for name in rehearsal.recordings for c in rehearsal.rig.names]
-    # the longest first, so that workers finish together
-    pieces.sort(key=lambda piece: piece[2] == CALIBRATION)
-    pieces += [(rehearse_truth, settings, take.name) for take in settings.takes] + [(rehearse_scan, settings)]
-    write_description(settings, folder)
-    for done, name in enumerate(_carried_out(pieces, folder, workers), 1):
+    pieces: list[Piece] = [("rehearse_truth", take.name) for take in settings.takes] + [("rehearse_scan",)]
+    # takes first, their pieces are the longest: workers then finish together
+    for name in reversed(rehearsal.recordings):
+        pieces += [("rehearse_recording", name, camera) for camera in rehearsal.rig.names]
+    (folder / DESCRIPTION).unlink(missing_ok=True)
+    finished = (
+        carry_out(pieces, settings.model_dump_json(), folder, workers) if workers > 1 else _one_by_one(pieces, settings, folder)
+    )
+    for done, name in enumerate(finished, 1):
         if progress is not None:
             progress(done, len(pieces), name)
+    write_description(settings, folder)
     return rehearsal
 
 
-def _carried_out(pieces: list[tuple], folder: Path, workers: int) -> Iterator[str]:
-    if workers <= 1:
-        for function, *arguments in pieces:
-            yield str(function(*arguments, folder))
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(function, *arguments, folder) for function, *arguments in pieces]):
-            yield str(future.result())
+def _one_by_one(pieces: list[Piece], settings: RehearsalSettings, folder: Path) -> Iterator[str]:
+    for function, *arguments in pieces:
+        yield str(globals()[function](settings, *arguments, folder))
 
 
 def rehearse_recording(settings: RehearsalSettings, recording: str, camera: str, folder: Path | str) -> Path:
@@ -177,9 +176,9 @@ def write_description(settings: RehearsalSettings, folder: Path | str) -> None:
         "truth": "truth",
         "settings": settings.model_dump(mode="json"),
     }
-    with atomic_path(folder / "rehearsal.json") as temporary:
-        temporary.write_text(json.dumps(session, indent=1) + "\n")
     truth.write_rig_truth(folder / "truth", settings, rehearsal.rig, rehearsal.clocks, rehearsal.frames)
+    with atomic_path(folder / DESCRIPTION) as temporary:
+        temporary.write_text(json.dumps(session, indent=1) + "\n")
 
 
 def _exposed(

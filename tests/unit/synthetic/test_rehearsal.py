@@ -9,6 +9,7 @@ import yaml
 
 from headcap.cameras import Camera
 from headcap.meshes.rasteriser import rasterise
+from headcap.synthetic.crew import carry_out
 from headcap.synthetic.rehearsal import CALIBRATION, performance_of, plan, rehearse, rehearse_recording, subject_of
 from headcap.synthetic.settings import (
     ArcSettings,
@@ -37,7 +38,7 @@ SETTINGS = RehearsalSettings(
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rehearsal")
     told = []
-    rehearse(SETTINGS, folder, progress=lambda done, pieces, name: told.append((done, pieces)))
+    rehearse(SETTINGS, folder, progress=lambda done, pieces, name: told.append((done, pieces)), workers=2)
     assert told == [(k + 1, 8) for k in range(8)]
     return folder
 
@@ -111,6 +112,12 @@ def test_a_recording_is_the_same_to_the_last_bit(folder, tmp_path):
         path = rehearse_recording(SETTINGS, recording, camera, tmp_path)
         digests = [hashlib.sha256((root / path).read_bytes()).hexdigest() for root in (folder, tmp_path)]
         assert digests[0] == digests[1]
+
+
+def test_a_piece_that_fails_is_told_by_name(tmp_path):
+    pieces = [("rehearse_recording", "no_such_take", "cam00")]
+    with pytest.raises(RuntimeError, match="rehearse_recording no_such_take cam00: ValueError"):
+        list(carry_out(pieces, SETTINGS.model_dump_json(), tmp_path, 2))
 
 
 def test_the_scan_lies_on_the_subject_in_its_own_unit_place_and_topology(folder):
