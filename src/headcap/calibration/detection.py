@@ -142,17 +142,17 @@ class BoardDetector:
         scale = min(1.0, self.settings.full_search_px / max(image.shape))
         small = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         view = self._charuco_view(small) if self._charuco else self._chessboard_view(small)
-        if len(view.corner) < self.settings.min_corners or _is_line(self.board.corners[view.corner]):
-            return _EMPTY
-        view = _without_strays(view, self.board)
-        if len(view.corner) < self.settings.min_corners or _is_line(self.board.corners[view.corner]):
+        if not self._usable(view) or not self._usable(view := _without_strays(view, self.board)):
             return _EMPTY
         # cv2.resize maps the pixel centre x to (x + 0.5) * scale - 0.5
         view = BoardView(view.corner, (view.pixels + 0.5) / scale - 0.5)
         pixels, _ = refine_corners(image, view, self.board)
         found = np.isfinite(pixels).all(1)
         view = BoardView(view.corner[found], pixels[found])
-        return view if len(view.corner) >= self.settings.min_corners else _EMPTY
+        return view if self._usable(view) else _EMPTY
+
+    def _usable(self, view: BoardView) -> bool:
+        return len(view.corner) >= self.settings.min_corners and not _is_line(self.board.corners[view.corner])
 
     def _charuco_view(self, image: Grey) -> BoardView:
         pixels, ids, _, _ = self._charuco.detectBoard(image)
