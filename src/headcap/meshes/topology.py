@@ -27,8 +27,9 @@ class Edges:
 
 def mesh_edges(triangles: NDArray) -> Edges:
     """Edges of triangles (m, 3), each once."""
-    directed = _directed_edges(triangles)
-    vertices, inverse, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
+    n = int(np.max(triangles, initial=0)) + 1
+    keys, inverse, count = np.unique(_edge_keys(triangles, n), return_inverse=True, return_counts=True)
+    vertices = np.stack([keys // n, keys % n], axis=1)
     owner = np.tile(np.arange(len(triangles), dtype=np.int32), 3)
     order = np.argsort(inverse.ravel(), kind="stable")
     first = np.concatenate([[0], np.cumsum(count)[:-1]]).astype(int) if len(count) else np.zeros(0, int)
@@ -41,9 +42,9 @@ def mesh_edges(triangles: NDArray) -> Edges:
 
 def boundary_edges(triangles: NDArray) -> NDArray[np.int32]:
     """Directed boundary edges (b, 2), in the direction their triangle runs through them."""
-    directed = _directed_edges(triangles)
-    _, inverse, count = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    return directed[count[inverse.ravel()] == 1].astype(np.int32)
+    n = int(np.max(triangles, initial=0)) + 1
+    _, inverse, count = np.unique(_edge_keys(triangles, n), return_inverse=True, return_counts=True)
+    return _directed_edges(triangles)[count[inverse.ravel()] == 1].astype(np.int32)
 
 
 def boundary_mask(triangles: NDArray, n_vertices: int) -> NDArray[np.bool_]:
@@ -100,8 +101,11 @@ def submesh(triangles: NDArray, keep_triangles: NDArray[np.bool_]) -> tuple[NDAr
 def non_manifold_edges(triangles: NDArray) -> NDArray[np.int32]:
     """Edges (k, 2) where more than two triangles meet, or two run the same way (the surface turns inside out)."""
     edges = mesh_edges(triangles)
-    directed, times = np.unique(_directed_edges(triangles), axis=0, return_counts=True)
-    doubled = np.sort(directed[times > 1], axis=1)
+    directed = _directed_edges(triangles).astype(np.int64)
+    n = int(np.max(triangles, initial=0)) + 1
+    keys, times = np.unique(directed[:, 0] * n + directed[:, 1], return_counts=True)
+    twice = keys[times > 1]
+    doubled = np.sort(np.stack([twice // n, twice % n], axis=1), axis=1)
     return np.unique(np.concatenate([edges.vertices[edges.count > 2], doubled]), axis=0).astype(np.int32)
 
 
@@ -130,3 +134,9 @@ def euler_characteristic(triangles: NDArray) -> int:
 def _directed_edges(triangles: NDArray) -> NDArray:
     triangles = np.asarray(triangles)
     return np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+
+
+def _edge_keys(triangles: NDArray, n_vertices: int) -> NDArray[np.int64]:
+    """One number per directed edge, equal for both directions (sorting numbers is ten times faster than sorting rows)."""
+    directed = np.sort(_directed_edges(triangles), axis=1).astype(np.int64)
+    return directed[:, 0] * n_vertices + directed[:, 1]
