@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
-from headcap.artifacts import digest_settings, save_json, write_manifest
+from headcap.artifacts import digest_settings, write_manifest
 from headcap.artifacts.gates import enforce, judge
 from headcap.heads.procedural import base_head
 from headcap.registration.picks import read_picks
 from headcap.registration.register import RegisterSettings, register_scan
 from headcap.registration.scan import load_scan
+from headcap.registration.scan_placement import ScanPlacement
 
 
 def run(
@@ -25,7 +26,7 @@ def run(
     found = register_scan(base_head(), loaded, settings, picks)
     remedy = "Check the scan's unit and that it shows the neutral face; or give picks of at least three landmarks."
     enforce(judge(found.figures, limits, allow), remedy)
-    save_json(placement, "scan_placement", 1, {"base_from_scan": found.base_from_scan.tolist()})
+    ScanPlacement(found.base_from_scan).save(placement)
     found.template.save(template)
     write_manifest(
         template,

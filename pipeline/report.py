@@ -4,6 +4,8 @@ from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.board import BoardSettings
+from headcap.registration.scan import load_scan
+from headcap.registration.scan_placement import ScanPlacement
 from headcap.report.collect import SessionDescription, collect_report
 from headcap.report.html import write_report, write_summary
 
@@ -12,6 +14,7 @@ def run(
     *,
     rig: Path,
     template: Path,
+    placement: Path,
     ingested: list[Path],
     offsets: list[Path],
     timelines: list[Path],
@@ -22,6 +25,7 @@ def run(
     report: Path,
     summary: Path,
     takes: list[str],
+    scan: dict,
     board: BoardSettings,
     truth: Path | None,
     settings: dict,
@@ -37,7 +41,8 @@ def run(
         settings=settings,
         truth=truth,
     )
-    collected = collect_report(metrics.parent, described)
+    scanned = ScanPlacement.load(placement).placed(load_scan(scan["file"], scan["unit"]))
+    collected = collect_report(metrics.parent, described, scan=scanned)
     write_summary(collected, summary)
     write_report(collected, report)
     write_manifest(

@@ -11,6 +11,7 @@ rule report:
     """The session's report."""
     input:
         unpack(session_results),
+        placement="results/{session}/register/placement.json",
         metrics="results/{session}/metrics.json",
     output:
         report="results/{session}/report/report.html",
@@ -23,6 +24,7 @@ rule report:
         mem_mb=2500,
     params:
         takes=takes,
+        scan=scan_paths,
         board=board,
         truth=truth,
         settings=described_session,
