@@ -79,8 +79,10 @@ def perform(random: np.random.Generator, kind: TakeKind, duration_s: float, inte
         speech = speak(random, duration_s, pitch_hz=random.uniform(100, 150))
         _follow_speech(channels, speech, time)
     if kind in ("pose", "speech", "free"):
-        turns = {"pose": (0.24, 0.5, 0.18), "speech": (0.03, 0.04, 0.02), "free": (0.10, 0.20, 0.07)}[kind]
-        _turn_head(channels, random, time, np.array(turns) * intensity)
+        *reach, move_s = {"pose": (0.24, 0.5, 0.18, 0.32), "speech": (0.03, 0.04, 0.02, 0.4), "free": (0.07, 0.15, 0.05, 0.45)}[
+            kind
+        ]
+        _turn_head(channels, random, time, np.array(reach) * intensity, move_s)
     if kind in ("expression", "free", "lips"):
         poses = _LIP_POSES if kind == "lips" else _EXPRESSIONS
         strength = intensity * {"expression": 1.0, "free": 0.6, "lips": 1.0}[kind]
@@ -102,8 +104,8 @@ def _follow_speech(channels: dict[str, NDArray], speech: Tracks, time: NDArray) 
     channels["lower_lip_drop"] += 0.35 * channels["spreading"] ** 2 * (1 - channels["closure"]).clip(0)
 
 
-def _turn_head(channels: dict[str, NDArray], random: np.random.Generator, time: NDArray, reach: NDArray) -> None:
-    turn = _moves(random, time, reach, move_s=0.32, rest_s=0.03)
+def _turn_head(channels: dict[str, NDArray], random: np.random.Generator, time: NDArray, reach: NDArray, move_s: float) -> None:
+    turn = _moves(random, time, reach, move_s=move_s, rest_s=0.03)
     for axis, name in enumerate(("turn_x", "turn_y", "turn_z")):
         channels[name] += turn[:, axis]
     # the eyes stay on their target for a part of the turn
