@@ -6,7 +6,7 @@ from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.result import CalibrationResult
 from headcap.reconstruction.cloud_sequence import CloudSequence
 from headcap.recordings.takes import IngestedTake
-from headcap.registration.place import place_template
+from headcap.registration.place import PlaceSettings, fit_placement
 from headcap.registration.start import prepare_start
 from headcap.registration.template import Template
 from headcap.registration.track_settings import TrackSettings
@@ -23,6 +23,7 @@ def run(
     timeline: Path,
     rig: Path,
     start: Path,
+    place: PlaceSettings,
     settings: TrackSettings,
 ) -> None:
     moments, calibrated = TakeTimeline.load(timeline), CalibrationResult.load(rig).rig
@@ -30,16 +31,18 @@ def run(
     with open_take(IngestedTake.load(ingested), TimeOffsets.load(offsets)) as take:
         images = take.images_at(first_s)
     cloud = CloudSequence.load(clouds)[int(moments.frames[0])]
-    placed = place_template(Template.load(template), cloud)
-    prepared = prepare_start(placed, calibrated, [images.get(name) for name in calibrated.names], cloud, settings)
+    registered = Template.load(template)
+    placed = fit_placement(registered, cloud, place)
+    in_world = registered.transformed(placed.world_from_template)
+    prepared = prepare_start(in_world, calibrated, [images.get(name) for name in calibrated.names], cloud, settings)
     prepared.save(start)
     write_manifest(
         start,
         kind="template",
         stage="track_start",
-        settings_digest=digest_settings(settings=settings),
+        settings_digest=digest_settings(settings=settings, place=place),
         inputs=[template, clouds, ingested, offsets, timeline, rig],
-        figures={},
+        figures=placed.figures,
     )
 
 

@@ -29,6 +29,7 @@ rule track_start:
     resources:
         mem_mb=3000,
     params:
+        place=setting("place"),
         settings=setting("track"),
         source=source("track_start"),
     script:

@@ -20,6 +20,7 @@ from headcap.calibration.settings import CalibrateSettings
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
+from headcap.registration.place import PlaceSettings
 from headcap.registration.register import RegisterSettings
 from headcap.registration.track_settings import TrackSettings
 from headcap.sync.settings import SyncSettings
@@ -147,6 +148,7 @@ class Session(_Settings):
     reconstruct: ReconstructSettings = ReconstructSettings()
     sync: SyncSettings = SyncSettings()
     register_scan: RegisterSettings = Field(default=RegisterSettings(), alias="register")
+    place: PlaceSettings = PlaceSettings()
     track: TrackSettings = TrackSettings()
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(

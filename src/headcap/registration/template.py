@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.artifacts import load_arrays, save_arrays
+from headcap.geometry.transforms import transform
 
 KIND, SCHEMA = "template", 1
 
@@ -48,6 +49,10 @@ class Template:
     def with_vertices(self, vertices: NDArray) -> Template:
         """The same surface with other positions (n, 3)."""
         return replace(self, vertices=np.asarray(vertices, np.float64))
+
+    def transformed(self, target_from_source: NDArray) -> Template:
+        """The same surface in another frame, by a rigid transform (4, 4)."""
+        return self.with_vertices(transform(target_from_source, self.vertices))
 
     def with_texture(self, texture: NDArray[np.uint8], known: NDArray[np.bool_]) -> Template:
         """The same surface with another texture (height, width, 3)."""
