@@ -31,6 +31,11 @@ def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_
         for index in range(len(maps))
     ]  # fmt: skip
     positions, normals, sigma, confidence, colours = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if settings.box_m is not None:
+        inside = ((positions >= settings.box_m[0]) & (positions <= settings.box_m[1])).all(1)
+        positions, normals, sigma, confidence, colours = (
+            array[inside] for array in (positions, normals, sigma, confidence, colours)
+        )
     footprint = _median_footprint(maps, cell_px)
     kept, spacing = _thin_to(positions, sigma, settings.spacing_px * footprint, settings.max_points)
     positions, normals, confidence, colours = (array[kept] for array in (positions, normals, confidence, colours))

@@ -60,6 +60,9 @@ class FusionSettings(BaseModel):
         1.3, ge=0, description="least distance of two points, in pixels of the rig's median view; 0 keeps all"
     )
     max_points: int = Field(200_000, ge=1000, description="spacing grows until no more points than this are left")
+    box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = Field(
+        None, description="least and largest x, y, z of points in the world frame, metres"
+    )
     outlier_neighbours: int = Field(6, ge=0, description="points within three spacings that a point needs; 0 keeps all")
 
 
