@@ -193,7 +193,7 @@ def _resample(plane: Plane, chain: NDArray) -> NDArray:
     space, flat = plane.space[chain], plane.flat[chain]
     steps = np.linalg.norm(np.diff(space, axis=0), axis=1) / wanted_edge_mm(0.5 * (space[1:] + space[:-1]))
     run = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.linspace(0.0, run[-1], int(round(run[-1])) + 1)
+    at = np.linspace(0.0, run[-1], round(run[-1]) + 1)
     return np.stack([np.interp(at, run, flat[:, axis]) for axis in range(2)], axis=1)
 
 
@@ -208,7 +208,7 @@ def _slit_line() -> NDArray:
     x = np.linspace(0.0, sculpt.MOUTH_HALF_WIDTH_MM, 400)
     line = _on_front(np.stack([x, sculpt.mouth_line(x), np.full(400, 130.0)], axis=1))
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    at = np.linspace(0.0, run[-1], int(round(run[-1] / SLIT_STEP_MM)) + 1)
+    at = np.linspace(0.0, run[-1], round(run[-1] / SLIT_STEP_MM) + 1)
     return np.stack([np.interp(at, run, line[:, axis]) for axis in range(3)], axis=1)
 
 
@@ -221,7 +221,7 @@ def _eye_rim() -> NDArray:
     line = _on_front(np.stack([sculpt.PUPIL_MM[0] + x, sculpt.PUPIL_MM[1] + height + tilt, np.full(400, 130.0)], axis=1))
     ring = np.concatenate([line, line[:1]])
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ring, axis=0), axis=1))])
-    at = np.linspace(0.0, run[-1], int(round(run[-1] / EYE_STEP_MM)), endpoint=False)
+    at = np.linspace(0.0, run[-1], round(run[-1] / EYE_STEP_MM), endpoint=False)
     return np.stack([np.interp(at, run, ring[:, axis]) for axis in range(3)], axis=1)
 
 
@@ -240,7 +240,7 @@ def _offset(plane: Plane, chain: NDArray, step_mm: float, k: int, *, closed: boo
     distance = 0.87 * step * abs(k)
     curve = _parallel(chain, distance, closed=closed, inside=k < 0)
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    count = int(round(run[-1] / (step * (1.0 + 0.08 * abs(k)))))
+    count = round(run[-1] / (step * (1.0 + 0.08 * abs(k))))
     at = (np.arange(count) + (0.5 if k % 2 else 0.0)) * run[-1] / count if closed else np.linspace(0, run[-1], count + 1)[1:-1]
     points = np.stack([np.interp(at, run, curve[:, axis]) for axis in range(2)], axis=1)
     near = cKDTree(_dense(chain, closed=closed)).query(points)[0]

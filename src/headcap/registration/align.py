@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_similarity, from_vector, rigid
 from headcap.meshes.normals import triangle_normals, vertex_normals
-from headcap.meshes.topology import boundary_mask
 
 
 class AlignSettings(BaseModel):
@@ -224,8 +223,3 @@ def _score(pairs: _Pairs, kept_share: float) -> float:
 def skin_triangles(triangles: NDArray, hidden: NDArray[np.bool_]) -> NDArray:
     """Triangles (k, 3) with no hidden vertex (n,)."""
     return triangles[~hidden[triangles].any(1)]
-
-
-def open_border(triangles: NDArray, n_vertices: int) -> NDArray[np.bool_]:
-    """(n,) vertices on the mesh's own boundary."""
-    return boundary_mask(triangles, n_vertices)

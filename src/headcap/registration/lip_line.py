@@ -19,6 +19,7 @@ class LipLineSettings(BaseModel):
     pixel_mm: float = Field(0.2, gt=0, description="Grid of the frontal map of the mouth")
     smoothing_mm: float = Field(0.5, description="Scale at which the valley is searched")
     search_mm: float = Field(9.0, description="How far above or below the fitted mouth the line may lie")
+    beside_mm: float = Field(0.4, description="The line stands as high as the lips so far above and below it")
     slope_cost: float = Field(0.6, description="Cost of a line that jumps rows between columns")
     end_share: float = Field(0.4, description="The line ends where the valley has this share of its depth in the middle")
     width_range: tuple[float, float] = Field((0.8, 1.25), description="Mouth width against the fitted one")
@@ -47,13 +48,18 @@ class _Map:
     centre: NDArray
     pixel_m: float
 
-    def place(self, row: NDArray, column: NDArray) -> NDArray:
-        """Points (k, 3) at fractional pixels."""
-        rows = np.clip(np.round(row).astype(int), 0, self.height.shape[0] - 1)
+    def place(self, row: NDArray, column: NDArray, beside_mm: float) -> NDArray:
+        """Points (k, 3) at fractional pixels, as high as the lips stand `beside_mm` above and below.
+
+        In the valley itself the height jumps between what is seen of either lip and the gap behind.
+        """
+        beside = 1e-3 * beside_mm / self.pixel_m
+        rows = np.round(np.stack([row - beside, row + beside])).astype(int)
         columns = np.clip(np.round(column).astype(int), 0, self.height.shape[1] - 1)
+        height = self.height[np.clip(rows, 0, self.height.shape[0] - 1), columns].mean(0)
         x = (column - 0.5 * (self.height.shape[1] - 1)) * self.pixel_m
         y = (0.5 * (self.height.shape[0] - 1) - row) * self.pixel_m
-        return self.centre + np.stack([x, y, self.height[rows, columns]], axis=1) @ self.axes
+        return self.centre + np.stack([x, y, height], axis=1) @ self.axes
 
 
 def find_lip_line(scan: Scan, line: NDArray, forward: NDArray, settings: LipLineSettings) -> LipLine | None:
@@ -79,7 +85,7 @@ def find_lip_line(scan: Scan, line: NDArray, forward: NDArray, settings: LipLine
     if level < 0.08:
         return None
     fine = gaussian_filter1d(path.astype(float) + _peak_offset(valley, path, columns), 0.5e-3 / view.pixel_m)
-    points = view.place(np.interp(ends, x, fine), ends / view.pixel_m + 0.5 * (len(columns) - 1))
+    points = view.place(np.interp(ends, x, fine), ends / view.pixel_m + 0.5 * (len(columns) - 1), settings.beside_mm)
     seen = np.isfinite(points).all(1)
     return LipLine(points[seen], level) if seen.mean() > 0.5 else None
 

@@ -9,11 +9,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from headcap.errors import InputError
 from headcap.geometry.transforms import invert, transform
 from headcap.meshes.normals import vertex_normals
-from headcap.meshes.topology import boundary_mask, vertex_adjacency
 from headcap.registration.align import AlignSettings, Placement, align_base, skin_triangles
 from headcap.registration.lip_line import LipLine, LipLineSettings, find_lip_line
 from headcap.registration.nonrigid import Lines, NonrigidSettings, Plate, Target, fit_stage, flipped_triangles, unfold
 from headcap.registration.scan import Scan
+from headcap.registration.scan_texture import bake_texture_from_scan
 from headcap.registration.template import Template
 
 HIDDEN = ("mouth_interior", "lips_inner_upper", "lips_inner_lower", "eyes")
@@ -28,7 +28,7 @@ class RegisterSettings(BaseModel):
     nonrigid: NonrigidSettings = Field(default_factory=NonrigidSettings, description="Non-rigid fit")
     lip_line: LipLineSettings = Field(default_factory=LipLineSettings, description="Valley between the lips")
     lip_stage_mm: float = Field(10.0, description="From this smoothing length on the lip line is held to the scan's")
-    texture_px: int = Field(2048, ge=64, description="Side of the texture baked from the scan's colours")
+    texture_px: int = Field(1024, ge=64, description="Side of the texture baked from the scan's colours")
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,9 @@ def register_scan(
     vertices = unfold(plate, vertices, hidden)
     figures = _figures(base, plate, vertices, target, hidden, placement, line)
     base_from_scan = invert(placement.scan_from_base)
-    return RegisteredScan(base.with_vertices(transform(base_from_scan, vertices)), figures, base_from_scan)
+    bent = base.with_vertices(transform(base_from_scan, vertices))
+    textured = bake_texture_from_scan(bent, scan, settings.texture_px, base_from_scan)
+    return RegisteredScan(textured, figures, base_from_scan)
 
 
 def lip_pairs(base: Template) -> NDArray[np.int64]:
@@ -143,10 +145,3 @@ def _figures(
         "register.flipped_triangles": float((flipped_triangles(vertices, plate.triangles) & ~rest_flips).sum()),
         "register.lip_line_strength": 0.0 if line is None else line.strength,
     }
-
-
-def rim_rings(base: Template) -> NDArray[np.bool_]:
-    """(n,) vertices on the lids' rims: beside the eyes' region but not in it."""
-    adjacency = vertex_adjacency(base.triangles, len(base.vertices))
-    eyes = base.regions["eyes"]
-    return (adjacency @ eyes.astype(float) > 0) & ~eyes & ~boundary_mask(base.triangles, len(base.vertices))

@@ -26,7 +26,8 @@ def bake_texture_from_scan(
     """The template with each texel coloured by the nearest point of the scan's surface.
 
     `base_from_scan` (4, 4) takes the scan into the template's frame (identity by default). Texels farther than 3 mm from the
-    scan, or whose nearest point faces away, are filled from their neighbours and not marked known. A scan without colours gives the template back unchanged.
+    scan, or whose nearest point faces away, are filled from their neighbours and not marked known. A scan without colours
+    gives the template back unchanged.
     """
     if scan.colours is None:
         return template
