@@ -71,7 +71,6 @@ checkpoint sync:
         mem_mb=1000,
     params:
         manual_s=manual_offsets,
-        clapper_m=setting("clapper_m"),
         frames=frames_asked,
         limits=limits("sync"),
         allow=setting("allow"),

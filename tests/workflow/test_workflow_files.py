@@ -1,6 +1,8 @@
 """The workflow's own files: lint-clean, a dry run of study and session, one stage per file."""
 
+import ast
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -78,3 +80,27 @@ def test_run_refuses_a_wrong_study_by_name(tmp_path: Path) -> None:
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False, env=os.environ)
     assert result.returncode == 1
     assert "Did you mean sessions?" in result.stderr
+
+
+def blocks() -> list[tuple[str, str]]:
+    """Each rule's script and text."""
+    text = "\n".join(path.read_text() for path in (REPOSITORY / "rules").glob("*.smk") if path.stem != "common")
+    rules = re.split(r"\n(?:rule|checkpoint) ", text)[1:]
+    return [(re.search(r"pipeline/(\w+)\.py", rule)[1], rule) for rule in rules]
+
+
+def given_names(rule: str) -> set[str]:
+    """Names of a rule's inputs, outputs and params, but for the code's digest."""
+    sections = re.findall(r"^    (?:input|output|params):\n((?:        .*\n)+)", rule, re.MULTILINE)
+    names = set(re.findall(r"^        (\w+)=", "".join(sections), re.MULTILINE)) - {"source"}
+    if "unpack(session_results)" in rule:
+        common = (REPOSITORY / "rules/common.smk").read_text().split("def session_results")[1].split("\ndef ")[0]
+        names |= set(re.findall(r'^        "(\w+)":', common, re.MULTILINE))
+    return names
+
+
+@pytest.mark.parametrize(("script", "rule"), blocks(), ids=lambda value: value if value.isidentifier() else "")
+def test_rule_and_script_name_the_same_things(script: str, rule: str) -> None:
+    tree = ast.parse((REPOSITORY / "pipeline" / f"{script}.py").read_text())
+    run = next(node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "run")
+    assert given_names(rule) == {argument.arg for argument in run.args.kwonlyargs} - {"threads"}
