@@ -75,7 +75,10 @@ class ReconstructSettings(BaseModel):
         "auto", description="patchmatch: CPU; colmap: CUDA through pycolmap; auto: colmap where it has CUDA"
     )
     fusion_engine: Literal["headcap", "colmap"] = Field("headcap", description="who fuses depth maps to points")
-    scale: float = Field(1.0, gt=0, le=1, description="photographs are shrunk by this factor first")
+    scale: float | None = Field(None, gt=0, le=1, description="photographs are shrunk by it; by default from most_pixels")
+    most_pixels: int = Field(
+        800_000, ge=10_000, description="larger photographs are shrunk to this many pixels: cells then suit max_points"
+    )
     near_m: float | None = Field(None, gt=0, description="nearest depth searched; by default from the rig's geometry")
     far_m: float | None = Field(None, gt=0, description="farthest depth searched; by default from the rig's geometry")
     matching: MatchingSettings = Field(default_factory=MatchingSettings, description="matching of views")

@@ -73,8 +73,9 @@ def _check(rig: Rig, images: list[NDArray], masks: list[NDArray] | None) -> None
 
 def _pinhole_view(camera: Camera, image: NDArray[np.uint8], mask: NDArray | None, settings: ReconstructSettings) -> View:
     blank = np.full((camera.height, camera.width), 255, np.uint8) if mask is None else np.where(mask, 255, 0).astype(np.uint8)
-    if settings.scale < 1:
-        camera = camera.scaled(settings.scale)
+    factor = working_scale(camera.size, settings)
+    if factor < 1:
+        camera = resized(camera, (round(camera.width * factor), round(camera.height * factor)))
         image = cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)
         blank = cv2.resize(blank, camera.size, interpolation=cv2.INTER_NEAREST)
     if camera.distortion.any():
@@ -86,13 +87,29 @@ def _pinhole_view(camera: Camera, image: NDArray[np.uint8], mask: NDArray | None
     return View(replace(camera, distortion=np.zeros(5)), grey, image, blank > 250)
 
 
+def working_scale(size: tuple[int, int], settings: ReconstructSettings) -> float:
+    """Factor by which a photograph of (width, height) is shrunk before anything else."""
+    if settings.scale is not None:
+        return settings.scale
+    return min(1.0, float(np.sqrt(settings.most_pixels / (size[0] * size[1]))))
+
+
+def resized(camera: Camera, size: tuple[int, int]) -> Camera:
+    """The camera of the image resized to (width, height), whose factors may differ a little after rounding."""
+    factors = np.array(size) / camera.size
+    matrix = camera.matrix.copy()
+    matrix[:2] *= factors[:, None]
+    matrix[:2, 2] += 0.5 * factors - 0.5
+    return replace(camera, width=size[0], height=size[1], matrix=matrix)
+
+
 def build_level(views: tuple[View, ...], level: int, smoothing_px: float) -> Level:
     """The views shrunk by 2**level."""
     factor = 0.5**level
     greys, valid, matrices = [], [], []
     for view in views:
-        camera = view.camera.scaled(factor)
         size = (max(8, round(view.camera.width * factor)), max(8, round(view.camera.height * factor)))
+        camera = resized(view.camera, size)
         grey = cv2.resize(view.grey, size, interpolation=cv2.INTER_AREA) if level else view.grey
         if smoothing_px > 0:
             grey = cv2.GaussianBlur(grey, (0, 0), smoothing_px)

