@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TextIO
 
 from headcap.workflow.lock import run_is_alive
 from headcap.workflow.progress import Progress
@@ -29,31 +29,48 @@ def run_workflow(
         return os.EX_TEMPFAIL
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(_snakefile()), "--configfile", str(configuration), *options]
     Path(log).parent.mkdir(parents=True, exist_ok=True)
-    progress, started = Progress(), time.monotonic()
-    with open(log, "w") as record, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as job:
-        try:
-            tail = _follow(job, record, progress, show)
-        except KeyboardInterrupt:
-            job.send_signal(signal.SIGINT)
-            job.wait()
-            show("stopped; the next run goes on from here")
-            return 130
+    started = time.monotonic()
+    # into a file that is followed, not through a pipe: should this process be killed, the run itself goes on undisturbed
+    with open(log, "w") as output, open(log) as written:
+        environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+        with subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment) as job:
+            try:
+                lines = _tell(_follow(job, written), show)
+            except KeyboardInterrupt:
+                # the terminal has interrupted Snakemake and its jobs too
+                job.wait()
+                show("stopped; the next run goes on from here")
+                return 130
     if job.returncode:
-        show(_failure(tail, log))
+        show(_failure(lines, log))
     else:
         show(f"done in {time.monotonic() - started:.0f} s")
     return job.returncode
 
 
-def _follow(job: subprocess.Popen, record, progress: Progress, show: Callable[[str], None]) -> list[str]:
-    lines: list[str] = []
-    for line in job.stdout:
-        record.write(line)
-        lines.append(line.rstrip("\n"))
-        told = progress.follow(line)
-        if told:
+def _follow(job: subprocess.Popen, written: TextIO) -> Iterator[str]:
+    """Lines of a process that still writes them, until it has ended and all is read."""
+    part = ""
+    while True:
+        ended = job.poll() is not None
+        while line := written.readline():
+            part += line
+            if part.endswith("\n"):
+                yield part.rstrip("\n")
+                part = ""
+        if ended:
+            return
+        time.sleep(0.2)
+
+
+def _tell(lines: Iterator[str], show: Callable[[str], None]) -> list[str]:
+    """Show the progress in a run's output; returns all of it."""
+    progress, read = Progress(), []
+    for line in lines:
+        read.append(line)
+        if told := progress.follow(line):
             show(told)
-    return lines
+    return read
 
 
 def _failure(lines: list[str], log: Path | str) -> str:
