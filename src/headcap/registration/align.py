@@ -23,7 +23,7 @@ class AlignSettings(BaseModel):
     finalists: int = Field(10, ge=1, description="Best starts that are refined with four times the points")
     kept_share: float = Field(0.7, gt=0, le=1, description="Share of nearest pairs that count (scan and base overlap in part)")
     scale_range: tuple[float, float] = Field((0.82, 1.2), description="Size of the subject against the base head")
-    worst_fit_mm: float = Field(8.0, description="Past this trimmed distance the scan is taken for no head")
+    worst_fit_mm: float = Field(11.0, description="Past this trimmed distance the scan is taken for no head")
     seed: int = Field(11, description="Seed of the sampled points")
 
 
@@ -87,7 +87,7 @@ def align_base(
         raise InputError(
             f"the base head fits the scan to {winner.score_mm:.1f} mm at best",
             expected=f"at most {settings.worst_fit_mm:g} mm",
-            remedy="Check that the scan shows a head with its face, in the right unit; or give picks of at least three landmarks.",
+            remedy="Check that the scan shows a head with its face, in its unit; or give picks of at least three landmarks.",
         )
     return winner
 

@@ -27,6 +27,7 @@ class RegisterSettings(BaseModel):
     align: AlignSettings = Field(default_factory=AlignSettings, description="Global alignment")
     nonrigid: NonrigidSettings = Field(default_factory=NonrigidSettings, description="Non-rigid fit")
     lip_line: LipLineSettings = Field(default_factory=LipLineSettings, description="Valley between the lips")
+    least_face_share: float = Field(0.5, ge=0, le=1, description="Share of the template's face that must lie on the scan")
     lip_stage_mm: float = Field(10.0, description="From this smoothing length on the lip line is held to the scan's")
     texture_px: int = Field(1024, ge=64, description="Side of the texture baked from the scan's colours")
 
@@ -65,6 +66,7 @@ def register_scan(
     vertices, line = _bend(base, plate, target, scan, hidden, chosen, settings)
     vertices = unfold(plate, vertices, hidden)
     figures = _figures(base, plate, vertices, target, hidden, placement, line)
+    _refuse_without_face(base, vertices, target, settings)
     base_from_scan = invert(placement.scan_from_base)
     bent = base.with_vertices(transform(base_from_scan, vertices))
     textured = bake_texture_from_scan(bent, scan, settings.texture_px, base_from_scan)
@@ -125,6 +127,18 @@ def _line_targets(line: LipLine, vertices: NDArray, pairs: NDArray) -> Lines:
     targets = np.stack([np.interp(at, along, line.points[:, axis]) for axis in range(3)], axis=1)
     both, first = np.unique(pairs.ravel(), return_index=True)
     return Lines(both, np.repeat(targets, 2, axis=0)[first])
+
+
+def _refuse_without_face(base: Template, vertices: NDArray, target: Target, settings: RegisterSettings) -> None:
+    face = base.regions["face"]
+    points, _, on_rim = target.nearest(vertices[face])
+    share = float(((np.linalg.norm(points - vertices[face], axis=1) < 2e-3) & ~on_rim).mean())
+    if share < settings.least_face_share:
+        raise InputError(
+            f"only {share:.0%} of the face found its place on the scan",
+            expected=f"at least {settings.least_face_share:.0%}",
+            remedy="Check that the scan shows the whole face; or give picks of at least three landmarks.",
+        )
 
 
 def _figures(
