@@ -31,8 +31,8 @@ from headcap.registration.correspondence import (
 from headcap.registration.flow import dense_flow
 from headcap.registration.graph import GraphSolver, Pose, build_graph, predict
 from headcap.registration.local_contrast import normalise
-from headcap.registration.photometric import Normal, inner, photometric_normal
 from headcap.registration.photographs import Photograph
+from headcap.registration.photometric import Normal, PhotometricSettings, inner, photometric_normal
 from headcap.registration.reference import Reference
 from headcap.registration.refine import Refiner
 from headcap.registration.render import project, shade, visible_vertices
@@ -80,26 +80,35 @@ class CoarseTracker:
         if earlier is not None:
             pose = predict(before.pose, earlier.pose, (time_s - before.time_s) / (before.time_s - earlier.time_s))
         figures: dict[str, float] = {}
-        displacement = before.displacement
+        displacement, pairs = before.displacement, None
         for _ in range(self.settings.coarse_rounds):
             motion = BackwardMotion.between(time_s, self.graph.deform(pose) + displacement, before, earlier)
-            pose, figures = self._round(pose, displacement, motion, photographs, cloud)
+            pose, pairs, figures = self._round(pose, before.pose, displacement, motion, photographs, cloud)
         for _ in range(self.settings.coarse_refinements):
             positions = self.graph.deform(pose) + displacement
             motion = BackwardMotion.between(time_s, positions, before, earlier)
             normal = self._surface_flow(positions, motion, photographs)
+            if pairs is not None:
+                triangles = self.reference.template.triangles
+                normal = normal + pairs_normal(pairs, positions, triangles, self.settings.correspondence, slide=True)
             displacement = displacement + self.refiner.solve(normal, displacement)
         return CoarseState(time_s, pose, displacement, self.graph.deform(pose) + displacement), figures
 
     def _round(
-        self, pose: Pose, displacement: NDArray, motion: BackwardMotion, photographs: list[Photograph], cloud: PointCloud | None
+        self,
+        pose: Pose,
+        before: Pose,
+        displacement: NDArray,
+        motion: BackwardMotion,
+        photographs: list[Photograph],
+        cloud: PointCloud | None,
     ):
         settings, triangles = self.settings, self.reference.template.triangles
         positions = self.graph.deform(pose) + displacement
         offsets = [motion.offset(photograph.delay_s) for photograph in photographs]
         views = [self._flow(positions + o, p) for p, o in zip(photographs, offsets, strict=True)]
         targets = [self._targets(view, positions + o) for view, o in zip(views, offsets, strict=True)]
-        pairs = None if cloud is None else point_pairs(cloud, views, offsets, triangles, settings.correspondence)
+        pairs = None if cloud is None else point_pairs(cloud, views, offsets, positions, triangles, settings.correspondence)
         # far from the targets their scatter is motion still to be found, not error: the robust scale shrinks step by step
         spread = residual_spread_px(targets, [positions + offset for offset in offsets])
         for step in range(settings.graph.steps):
@@ -108,8 +117,8 @@ class CoarseTracker:
             normal = _sum_targets(targets, offsets, positions, max(settings.flow_robust_px, 3 * spread * 0.3**step))
             if pairs is not None:
                 normal = normal + pairs_normal(pairs, positions, triangles, settings.correspondence)
-            pose = self.solver.step(pose, normal, surface)
-        return pose, {"flow_residual_px": normal.residual}
+            pose = self.solver.step(pose, normal, surface, before)
+        return pose, pairs, {"flow_residual_px": normal.residual}
 
     def _flow(self, positions: NDArray, photograph: Photograph) -> ViewFlow:
         settings, reference = self.settings, self.reference
@@ -122,7 +131,7 @@ class CoarseTracker:
         flow = dense_flow(rendered, seen, settings.flow)
         contrast = normalise(rendered, known, window_px=settings.flow.window_px, floor=settings.flow.contrast_floor).image
         strength = texture_strength(contrast, settings.correspondence.texture_strength)
-        trusted = inner(known, 2) & (flow.mismatch < settings.correspondence.mismatch_limit)
+        trusted = inner(known, 1) & (flow.mismatch < settings.correspondence.mismatch_limit)
         return ViewFlow(camera, projection, flow, trusted, strength)
 
     def _targets(self, view: ViewFlow, positions: NDArray) -> VertexTargets:
@@ -131,13 +140,13 @@ class CoarseTracker:
         return vertex_targets(view, positions, vertex_normals(positions, triangles), visible, self.settings.correspondence)
 
     def _surface_flow(self, positions: NDArray, motion: BackwardMotion, photographs: list[Photograph]) -> Normal:
-        return surface_flow(self.reference, positions, motion.offset, photographs, self.settings)
+        return surface_flow(self.reference, positions, motion.offset, photographs, self.settings.coarse_photometric)
 
 
 def surface_flow(
-    reference: Reference, positions: NDArray, offset, photographs: list[Photograph], settings: TrackSettings
+    reference: Reference, positions: NDArray, offset, photographs: list[Photograph], settings: PhotometricSettings
 ) -> Normal:
-    """Sum over views of what their photographs say about the mesh (n, 3); `offset(delay_s)` is its motion (n, 3) within the frame."""
+    """What all views' photographs say about the mesh (n, 3); `offset(delay_s)` is its motion (n, 3) within the frame."""
     triangles = reference.template.triangles
     normals = vertex_normals(positions, triangles)
     total = Normal.zero(len(positions))
@@ -145,7 +154,7 @@ def surface_flow(
         c = photograph.camera
         moved = positions + offset(photograph.delay_s)
         total = total + photometric_normal(
-            reference.cameras[c], reference.sources[c], moved, normals, triangles, photograph.image, settings.photometric
+            reference.cameras[c], reference.sources[c], moved, normals, triangles, photograph.image, settings
         )
     return total
 
@@ -159,7 +168,7 @@ class BackwardMotion:
 
     @classmethod
     def between(cls, time_s: float, positions: NDArray, before: CoarseState, earlier: CoarseState | None) -> BackwardMotion:
-        """The last interval's velocity, and half of what a parabola through three frames would add: sudden stops overshoot less."""
+        """The last interval's velocity and half of what a parabola through three frames would add: stops overshoot less."""
         last = (positions - before.positions) / (time_s - before.time_s)
         if earlier is None:
             return cls(last)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.cameras import Camera
+from headcap.meshes.normals import triangle_normals
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.flow import Flow, sample
 from headcap.registration.photometric import Normal
@@ -34,12 +35,14 @@ class CorrespondenceSettings(BaseModel):
         0.02, description="Squared gradient of normalised contrast at which flow counts half, 1 / px^2"
     )
     mismatch_limit: float = Field(1.0, description="Largest grey level difference after warping, in units of local contrast")
-    point_error_mm: float = Field(0.3, description="Standard deviation of a cloud point along its normal, millimetres")
+    point_error_mm: float = Field(0.15, description="Standard deviation of a cloud point along its normal, millimetres")
     slide_error_mm: float = Field(
         1.0, description="Standard deviation of equation 6's surface point along the surface, millimetres"
     )
     point_limit_mm: float = Field(15.0, description="Cloud points farther from their surface point are left out, millimetres")
-    point_share: float = Field(0.1, description="Weight of one cloud point, for neighbouring points err together")
+    normal_cosine: float = Field(0.6, description="Least agreement of a cloud point's normal with its triangle's")
+    most_points: int = Field(60000, description="Larger clouds are thinned evenly to so many points for equation 6")
+    point_share: float = Field(0.3, description="Weight of one cloud point, for neighbouring points err together")
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,11 @@ class ViewFlow:
 
     camera: Camera
     projection: Projection
-    flow: Flow
+    flow: Flow | None
+    """None where the mesh already lies where the photograph shows it."""
     trusted: NDArray[np.bool_]
     """(h, w) of the window: rendering known, away from its edges, grey levels agree after warping."""
-    strength: NDArray[np.float32]
+    strength: NDArray[np.float32] | None
     """(h, w) 0 to 1: how much texture the flow had to hold on to."""
 
 
@@ -130,38 +134,47 @@ def residual_spread_px(targets: list[VertexTargets], positions: list[NDArray]) -
 
 
 def point_pairs(
-    cloud: PointCloud, views: list[ViewFlow], offsets: list[NDArray], triangles: NDArray, settings: CorrespondenceSettings
+    cloud: PointCloud,
+    views: list[ViewFlow],
+    offsets: list[NDArray],
+    vertices: NDArray,
+    triangles: NDArray,
+    settings: CorrespondenceSettings,
 ) -> PointPairs:
-    """Equation 6 for a cloud at the frame's moment.
+    """Equation 6 for a cloud and a mesh (n, 3), (m, 3) at the frame's moment.
 
     `offsets` holds per view the mesh's motion (n, 3) from the frame's moment to that of the photograph; a point moves along
-    with the surface it is projected onto before it is looked up.
+    with the surface it is projected onto before it is looked up. Points whose normal disagrees with the triangle found are left
+    out: at the lips the ray may meet the wrong one.
     """
-    positions, normals = cloud.positions.astype(float), cloud.normals.astype(float)
+    every = slice(None, None, max(1, -(-len(cloud) // settings.most_points)))
+    positions, normals = cloud.positions[every].astype(float), cloud.normals[every].astype(float)
     best = _squarest_view(positions, normals, views, settings.least_cosine)
+    facing = triangle_normals(vertices, triangles)
+    facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-20)
     parts = []
     for c, (view, offset) in enumerate(zip(views, offsets, strict=True)):
         chosen = np.flatnonzero(best == c)
         triangle, barycentric = _inverse_render(view, positions[chosen], offset, triangles)
-        hit = triangle >= 0
+        agree = np.einsum("ki,ki->k", facing[triangle], normals[chosen]) > settings.normal_cosine
+        hit = (triangle >= 0) & agree
         parts.append((triangle[hit], barycentric[hit], positions[chosen[hit]], normals[chosen[hit]]))
     return PointPairs(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def pairs_normal(
-    pairs: PointPairs, vertices: NDArray, triangles: NDArray, settings: CorrespondenceSettings, share: float = 1.0
+    pairs: PointPairs, vertices: NDArray, triangles: NDArray, settings: CorrespondenceSettings, *, slide: bool = False
 ) -> Normal:
-    """Normal equations of point pairs at vertices (n, 3): tight along the point's normal, loose along the surface."""
+    """Normal equations of point pairs at vertices (n, 3): tight along the point's normal, loose or (`slide`) free across it."""
     corners = triangles[pairs.triangle]
     surface = np.einsum("kc,kci->ki", pairs.barycentric, vertices[corners])
     residual = pairs.points - surface
     distance = np.linalg.norm(residual, axis=1)
     along = np.einsum("ki,ki->k", residual, pairs.normals)
     scale = settings.point_error_mm * 1e-3
-    weight = share * settings.point_share / (1 + (along / (4 * scale)) ** 2) ** 2 * (distance < settings.point_limit_mm * 1e-3)
+    weight = settings.point_share / (1 + (along / (4 * scale)) ** 2) ** 2 * (distance < settings.point_limit_mm * 1e-3)
     blocks, right = np.zeros((len(vertices), 6)), np.zeros((len(vertices), 3))
-    slide = settings.slide_error_mm * 1e-3
-    loose = 0.0 if slide <= 0 else 1 / slide**2
+    loose = 0.0 if slide else (settings.slide_error_mm * 1e-3) ** -2
     _accumulate_points(corners, pairs.barycentric, pairs.normals, residual, weight, 1 / scale**2, loose, blocks, right)
     return Normal(blocks, right, float(np.median(np.abs(along))) if len(along) else 0.0)
 
@@ -182,7 +195,8 @@ def _inverse_render(view: ViewFlow, points: NDArray, offset: NDArray, triangles:
     start, start_weights = _pick(raster, view.camera.project(points)[0] - corner, None)
     moved = points + np.einsum("kc,kci->ki", start_weights, offset[triangles[np.maximum(start, 0)]])
     pixels = view.camera.project(moved)[0] - corner
-    return _pick(raster, pixels + view.flow.inverse_at(pixels), view.trusted)
+    back = 0.0 if view.flow is None else view.flow.inverse_at(pixels)
+    return _pick(raster, pixels + back, view.trusted)
 
 
 def _pick(raster, pixels: NDArray, trusted: NDArray | None):

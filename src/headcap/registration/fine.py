@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.coarse import surface_flow
+from headcap.registration.correspondence import CorrespondenceSettings, PointPairs, ViewFlow, pairs_normal, point_pairs
 from headcap.registration.photographs import Photograph
+from headcap.registration.photometric import PhotometricSettings
 from headcap.registration.reference import Reference
-from headcap.registration.refine import Refiner
-from headcap.registration.track_settings import TrackSettings
+from headcap.registration.refine import Refiner, RefineSettings
+from headcap.registration.render import project
 
 
 @dataclass(frozen=True)
@@ -45,21 +47,45 @@ class Trajectory:
 class FineTracker:
     """Refines coarse frames one by one."""
 
-    def __init__(self, reference: Reference, settings: TrackSettings, *, refinements: int | None = None) -> None:
-        self.reference, self.settings = reference, settings
-        self.refinements = settings.fine_refinements if refinements is None else refinements
+    def __init__(
+        self,
+        reference: Reference,
+        photometric: PhotometricSettings,
+        correspondence: CorrespondenceSettings,
+        refine: RefineSettings,
+        refinements: int,
+    ) -> None:
+        self.reference, self.photometric, self.refinements = reference, photometric, refinements
+        self.correspondence = correspondence
         template = reference.template
-        self.refiner = Refiner(template.vertices, template.triangles, settings.refine)
+        self.refiner = Refiner(template.vertices, template.triangles, refine)
 
     def refine(
         self, coarse: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud | None
     ) -> tuple[NDArray[np.float64], dict[str, float]]:
         """Positions (n, 3) of one frame from its coarse ones, and the residuals left."""
         displacement = np.zeros_like(coarse)
+        # each step is regularised by itself: an error of the coarse pass is no shape to hold on to
+        still = np.zeros_like(coarse)
         figures: dict[str, float] = {}
+        pairs = None if cloud is None else self._pairs(coarse, trajectory, photographs, cloud)
         for _ in range(self.refinements):
-            normal = surface_flow(self.reference, coarse + displacement, trajectory.offset, photographs, self.settings)
-            update = self.refiner.solve(normal, displacement)
+            normal = surface_flow(self.reference, coarse + displacement, trajectory.offset, photographs, self.photometric)
+            if pairs is not None:
+                triangles = self.reference.template.triangles
+                normal = normal + pairs_normal(pairs, coarse + displacement, triangles, self.correspondence, slide=True)
+            update = self.refiner.solve(normal, still)
             displacement += update
             figures = {"surface_flow_residual": normal.residual, "last_step_mm": 1e3 * float(np.sqrt((update**2).sum(1).mean()))}
         return coarse + displacement, figures
+
+    def _pairs(self, positions: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud) -> PointPairs:
+        """Equation 6 once the mesh lies where the photographs show it: no flow is left between rendering and photograph."""
+        triangles = self.reference.template.triangles
+        offsets = [trajectory.offset(photograph.delay_s) for photograph in photographs]
+        views = []
+        for photograph, offset in zip(photographs, offsets, strict=True):
+            camera = self.reference.cameras[photograph.camera]
+            projection = project(camera, positions + offset, triangles)
+            views.append(ViewFlow(camera, projection, None, projection.raster.hit, None))
+        return point_pairs(cloud, views, offsets, positions, triangles, self.correspondence)

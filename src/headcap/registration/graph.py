@@ -32,10 +32,11 @@ class GraphSettings(BaseModel):
     nodes_per_vertex: int = Field(4, description="Nodes that move one vertex")
     rigidity: float = Field(0.2, description="Standard deviation of a node's strain (its affine part from a rotation)")
     smoothness_mm: float = Field(
-        2.0, description="Standard deviation of neighbouring nodes' disagreement, millimetres per 10 mm between them"
+        3.0, description="Standard deviation of neighbouring nodes' disagreement, millimetres per 10 mm between them"
     )
+    change_mm: float = Field(0.5, description="The same for the change of that disagreement since the frame before")
     hidden_factor: float = Field(
-        100.0, description="Both deviations are multiplied by this where the reference frame shows no skin"
+        100.0, description="Smoothness deviation is multiplied by this between nodes that the reference frame does not show"
     )
     steps: int = Field(3, description="Gauss-Newton steps per set of correspondences")
 
@@ -120,29 +121,33 @@ class GraphSolver:
         self.graph, self.settings = graph, settings
         self.pattern = _pattern(graph)
         self._factor: Factor | None = None
-        self._rigidity, self._smoothness = self._prior_weights()
+        self._rigidity, self._smoothness, self._change_share = self._prior_weights()
 
-    def energy(self, pose: Pose, normal: Normal, at: NDArray) -> float:
+    def energy(self, pose: Pose, normal: Normal, at: NDArray, before: Pose | None = None) -> float:
         """Data quadratic around vertices `at` (n, 3), plus rigidity and smoothness."""
         step = self.graph.deform(pose) - at
         image = _apply_blocks(normal.blocks, step)
         data = 0.5 * float(np.vdot(step, image)) - float(np.vdot(step, normal.right))
-        strain, stretch = _rigidity(pose.affine)[0], _smoothness(self.graph, pose)
+        strain, stretch = _rigidity(pose.affine)[0], _smoothness(self.graph, pose) - self._disagreement_target(before)
         wr, ws = self._rigidity, self._smoothness
         return data + 0.5 * float((wr[:, None] * strain**2).sum()) + 0.5 * float((ws[:, None] * stretch**2).sum())
 
-    def gradient(self, pose: Pose, normal: Normal, at: NDArray) -> NDArray[np.float64]:
+    def gradient(self, pose: Pose, normal: Normal, at: NDArray, before: Pose | None = None) -> NDArray[np.float64]:
         """Derivative (k, 12) of the energy: the affine part row by row, each followed by its shift."""
-        return -self._system(pose, normal, at)[1].reshape(-1, 12)
+        return -self._system(pose, normal, at, before)[1].reshape(-1, 12)
 
-    def step(self, pose: Pose, normal: Normal, at: NDArray) -> Pose:
-        """One Gauss-Newton step for data linearised at vertices `at` (n, 3)."""
-        matrix, right = self._system(pose, normal, at)
+    def step(self, pose: Pose, normal: Normal, at: NDArray, before: Pose | None = None) -> Pose:
+        """One Gauss-Newton step for data linearised at vertices `at` (n, 3).
+
+        With the pose of the frame before, neighbouring nodes also hold to how they differed there: what data leave open does
+        not wander.
+        """
+        matrix, right = self._system(pose, normal, at, before)
         update = self._solve(matrix, right).reshape(-1, 3, 4)
         return Pose(pose.affine + update[:, :, :3], pose.shift + update[:, :, 3])
 
     def _solve(self, matrix: sparse.bsr_array, right: NDArray) -> NDArray:
-        """Conjugate gradient, preconditioned by the factor of an earlier step until that no longer helps: a factor costs a second."""
+        """Conjugate gradient, preconditioned by an earlier step's factor while that helps: a factor costs a second."""
         if self._factor is not None:
             update, converged = conjugate_gradient(matrix.__matmul__, self._factor.solve, right, SOLVER_TOLERANCE, SOLVER_STEPS)
             if converged:
@@ -150,15 +155,22 @@ class GraphSolver:
         self._factor = Factor(matrix)
         return self._factor.solve(right)
 
-    def _prior_weights(self) -> tuple[NDArray, NDArray]:
-        """Rigidity (k,) and smoothness (e,) weights: inverse variances."""
+    def _prior_weights(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Rigidity (k,) and smoothness (e,) weights, and what share of the latter holds to the frame before."""
         graph, settings = self.graph, self.settings
         length = np.linalg.norm(np.diff(graph.vertices[graph.nodes][graph.edges], axis=1)[:, 0], axis=1)
-        soft = settings.hidden_factor ** (1 - graph.shown)
-        sigma = settings.smoothness_mm * 1e-3 * np.maximum(length / 0.01, 0.3) * soft[graph.edges].max(1)
-        return 1 / (settings.rigidity * soft) ** 2, 1 / sigma**2
+        soft = (settings.hidden_factor ** (1 - graph.shown))[graph.edges].min(1)
+        spread = 1e-3 * np.maximum(length / 0.01, 0.3) * soft
+        rest, change = (settings.smoothness_mm * spread) ** -2, (settings.change_mm * spread) ** -2
+        return np.full(len(graph.nodes), settings.rigidity**-2), rest + change, change / (rest + change)
 
-    def _system(self, pose: Pose, normal: Normal, at: NDArray):
+    def _disagreement_target(self, before: Pose | None) -> NDArray:
+        """(e, 3) between rest and the frame before."""
+        if before is None:
+            return np.zeros((len(self.graph.edges), 3))
+        return self._change_share[:, None] * _smoothness(self.graph, before)
+
+    def _system(self, pose: Pose, normal: Normal, at: NDArray, before: Pose | None):
         graph, pattern = self.graph, self.pattern
         current = graph.deform(pose)
         # data are linear in the vertices: move their right-hand side to where the nodes are now
@@ -179,7 +191,8 @@ class GraphSolver:
         )
         wr, ws = self._rigidity, self._smoothness
         _assemble_rigidity(pose.affine, wr, pattern.diagonal, matrix, right)
-        _assemble_smoothness(centres, pose.affine, pose.shift, graph.edges, ws, pattern.edge_slots, matrix, right)
+        target = self._disagreement_target(before)
+        _assemble_smoothness(centres, pose.affine, pose.shift, graph.edges, ws, target, pattern.edge_slots, matrix, right)
         # data may leave a node quite unseen: keep the matrix positive definite
         matrix[pattern.diagonal] += np.eye(12) * 1e-6 * wr[:, None, None]
         return _to_sparse(matrix, pattern, k), right.ravel()
@@ -331,7 +344,7 @@ def _assemble_data(vertices, centres, influence, weights, slots, blocks, right_v
 
 
 @njit(cache=True, error_model="numpy")
-def _assemble_smoothness(centres, affine, shift, edges, weights, slots, matrix, right):
+def _assemble_smoothness(centres, affine, shift, edges, weights, target, slots, matrix, right):
     q = np.zeros(4)
     for e in range(len(edges)):
         a, b, w = edges[e, 0], edges[e, 1], weights[e]
@@ -339,7 +352,7 @@ def _assemble_smoothness(centres, affine, shift, edges, weights, slots, matrix, 
             q[i] = centres[b, i] - centres[a, i]
         q[3] = 1.0
         for r in range(3):
-            residual = centres[a, r] + shift[a, r] - centres[b, r] - shift[b, r]
+            residual = centres[a, r] + shift[a, r] - centres[b, r] - shift[b, r] - target[e, r]
             for i in range(3):
                 residual += affine[a, r, i] * q[i]
             for i in range(4):

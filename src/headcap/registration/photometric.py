@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.cameras import Camera
 from headcap.registration.local_contrast import normalise
-from headcap.registration.render import Projection, Source, project, shade
+from headcap.registration.render import Source, project, shade
 
 
 class PhotometricSettings(BaseModel):
@@ -27,14 +27,14 @@ class PhotometricSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    window_px: int = Field(31, description="Box over which local mean and contrast are taken, pixels")
+    window_px: int = Field(15, description="Box over which local mean and contrast are taken, pixels")
     contrast_floor: float = Field(4.0, description="Grey levels added to the local contrast in quadrature")
     smoothing_px: float = Field(0.7, description="Gaussian smoothing of the photographs, pixels")
     noise: float = Field(2.0, description="Standard deviation of a photograph's noise, grey levels")
     mismatch: float = Field(0.15, description="Error of the rendering in units of local contrast")
     robust_scale: float = Field(3.0, description="Residual, in its standard deviations, at which a pixel loses 3/4 of its weight")
     least_cosine: float = Field(0.2, description="Pixels seen more obliquely than this cosine say nothing")
-    margin_px: int = Field(3, description="Pixels this near an edge of the known rendering say nothing")
+    margin_px: int = Field(1, description="Pixels this near an edge of the known rendering say nothing")
 
 
 @dataclass(frozen=True)

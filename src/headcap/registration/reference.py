@@ -1,4 +1,4 @@
-"""What every camera should see of the surface: the fixed reference that all frames are compared with, so that drift cannot add up."""
+"""What every camera should see of the surface: one fixed reference for all frames, so that drift cannot add up."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from headcap.cameras import Camera, Rig
 from headcap.meshes.normals import triangle_normals
-from headcap.meshes.topology import vertex_adjacency
 from headcap.registration.render import Projection, Source, project, visible_share
 from headcap.registration.template import Template
 
-NEIGHBOUR_RINGS = 4
-"""Surface points of neighbouring pixels farther apart on the mesh than so many rings lie on two sides of a fold."""
+DEPTH_JUMP_M = 4e-3
+"""Neighbouring pixels whose depths differ more lie on either side of an occluding edge."""
 
 
 LEAST_COSINE = 0.25
@@ -35,13 +33,12 @@ class Reference:
 
 
 def build_reference(
-    template: Template, rig: Rig, photographs: list[NDArray[np.float32] | None], *, own_photographs: bool, fold_margin_px: int = 2
+    template: Template, rig: Rig, photographs: list[NDArray[np.float32] | None], *, own_photographs: bool, edge_margin_px: int
 ) -> Reference:
     """Tie each camera's first grey photograph (h, w) to the template at the reference frame (world, textured).
 
     A camera without one has None. Without `own_photographs` all cameras share the baked texture alone (equation 6 to the letter).
     """
-    neighbours = _rings(template, NEIGHBOUR_RINGS)
     texture = None if template.texture is None else cv2.cvtColor(template.texture, cv2.COLOR_RGB2GRAY).astype(np.float32)
     sources, shown = [], np.zeros(len(template.vertices), bool)
     for camera, photograph in zip(rig, photographs, strict=True):
@@ -49,7 +46,7 @@ def build_reference(
         well = _shown_well(camera, projection, template) & (photograph is not None)
         shown[template.triangles[well]] = True
         clear = np.zeros((camera.height, camera.width), np.bool_)
-        clear[projection.window.slices] = _away_from_folds(projection, template, neighbours, fold_margin_px)
+        clear[projection.window.slices] = _away_from_edges(projection, edge_margin_px)
         pixels = projection.pixels.astype(np.float32)
         sources.append(_source(template, texture, photograph, clear, well & own_photographs, pixels))
     return Reference(template, rig.cameras, tuple(sources), shown)
@@ -82,17 +79,6 @@ def _source(template, texture, photograph, clear, serves, pixels) -> Source:
     return Source(photograph, pixels, clear, serves, texture, texels, template.uv_triangles, template.texture_known)
 
 
-def _rings(template: Template, rings: int) -> sparse.csr_array:
-    n = len(template.vertices)
-    near = vertex_adjacency(template.triangles, n) + sparse.eye_array(n)
-    power = near
-    for _ in range(rings - 1):
-        power = sparse.csr_array(power @ near)
-    power.data[:] = 1
-    power.sort_indices()
-    return power
-
-
 def _shown_well(camera: Camera, projection: Projection, template: Template) -> NDArray[np.bool_]:
     local = projection.pixels - (projection.window.x0, projection.window.y0)
     share = visible_share(projection.raster, local, template.triangles)
@@ -103,19 +89,18 @@ def _shown_well(camera: Camera, projection: Projection, template: Template) -> N
     return (share > 0.5) & (cosine > LEAST_COSINE)
 
 
-def _away_from_folds(
-    projection: Projection, template: Template, neighbours: sparse.csr_array, margin_px: int
-) -> NDArray[np.bool_]:
-    ids = projection.raster.triangle
-    corner = np.where(ids >= 0, template.triangles[ids, 0], -1)
-    fold = np.zeros(ids.shape, bool)
+def _away_from_edges(projection: Projection, margin_px: int) -> NDArray[np.bool_]:
+    """(h, w) of the window: seen, and not near a jump in depth, where the lens blur mixes two surfaces that move apart.
+
+    Folds whose sides touch (closed lips, eyelids) stay: their dark line belongs to the skin on either side, and when they open
+    the dark behind them continues it.
+    """
+    depth = np.where(projection.raster.hit, projection.raster.depth, np.float32(1e3))
+    edge = np.zeros(depth.shape, np.uint8)
     for axis in range(2):
-        a, b = (np.take(corner, np.arange(s, corner.shape[axis] - 1 + s), axis=axis) for s in range(2))
-        apart = (a < 0) != (b < 0)
-        both = (a != b) & (a >= 0) & (b >= 0)
-        apart[both] = np.asarray(neighbours[a[both], b[both]]).ravel() == 0
-        for s in range(2):
-            view = fold[s : fold.shape[0] - 1 + s] if axis == 0 else fold[:, s : fold.shape[1] - 1 + s]
-            view |= apart
+        jump = np.abs(np.diff(depth, axis=axis)) > DEPTH_JUMP_M
+        for side in (slice(1, None), slice(None, -1)):
+            view = edge[side] if axis == 0 else edge[:, side]
+            view |= jump
     size = 2 * margin_px + 1
-    return (ids >= 0) & (cv2.dilate(fold.astype(np.uint8), np.ones((size, size), np.uint8)) == 0)
+    return projection.raster.hit & (cv2.dilate(edge, np.ones((size, size), np.uint8)) == 0)

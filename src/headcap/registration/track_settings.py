@@ -18,8 +18,9 @@ class TrackSettings(BaseModel):
 
     reference: Literal["own_photograph", "texture"] = Field(
         "own_photograph",
-        description="Texture of the rendered template: each camera's own first photograph where it saw the surface, or the baked texture",
+        description="Texture of the rendering: each camera's own first photograph where it saw the surface, or the baked one",
     )
+    edge_margin_px: int = Field(1, description="A first photograph is not used this near an occluding edge, pixels")
     coarse_width_px: int = Field(270, description="Images are reduced to about this width (shorter side) for the coarse pass")
     coarse_rounds: int = Field(2, description="Rounds of render, flow and graph per frame in the coarse pass")
     coarse_refinements: int = Field(1, description="Surface-flow steps after the graph in the coarse pass")
@@ -33,9 +34,13 @@ class TrackSettings(BaseModel):
     time_gap_frames: float = Field(
         1.0, description="A camera without a photograph this near in time (in frame intervals) sits a frame out"
     )
+    start_rounds: int = Field(
+        4, description="Rounds of graph, then of refinement, that draw the template onto the first frame's points"
+    )
     texture_size_px: int = Field(2048, description="Side of the baked texture")
-    flow: FlowSettings = Field(default_factory=lambda: FlowSettings(window_px=21))
+    flow: FlowSettings = Field(default_factory=lambda: FlowSettings(window_px=11))
     correspondence: CorrespondenceSettings = Field(default_factory=CorrespondenceSettings)
     graph: GraphSettings = Field(default_factory=GraphSettings)
+    coarse_photometric: PhotometricSettings = Field(default_factory=lambda: PhotometricSettings(window_px=11))
     photometric: PhotometricSettings = Field(default_factory=PhotometricSettings)
     refine: RefineSettings = Field(default_factory=RefineSettings)

@@ -40,20 +40,22 @@ def track_anchors(
     times = np.asarray(timeline_s, float)
     reader = _Reader(rig, frames, times, settings)
     reference = scaled_reference(reader.reference(start, times[0]), settings.coarse_width_px)
-    tracker, polisher = CoarseTracker(reference, settings), FineTracker(reference, settings, refinements=1)
+    tracker, polisher = (
+        CoarseTracker(reference, settings),
+        FineTracker(reference, settings.coarse_photometric, settings.correspondence, settings.refine, 1),
+    )
     states, positions, residuals = [tracker.start(times[0])], [start.vertices], [0.0]
-    held: list[list[Photograph]] = [resize(reader.read(times[0]), reference.cameras)]
+    held = [(resize(reader.read(times[0]), reference.cameras), None)]
     for time_s in times[1:]:
-        held.append(resize(reader.read(time_s), reference.cameras))
-        cloud = clouds(time_s) if clouds is not None else None
+        held.append((resize(reader.read(time_s), reference.cameras), clouds(time_s) if clouds is not None else None))
         earlier = states[-2] if len(states) > 1 else None
-        state, figures = tracker.advance(states[-1], earlier, time_s, held[-1], cloud)
+        state, figures = tracker.advance(states[-1], earlier, time_s, *held[-1])
         states.append(state)
         residuals.append(figures["flow_residual_px"])
         if len(states) > 2:
             # with the frame after it known, a frame's motion is known on both sides
             states, held = states[-3:], held[-3:]
-            positions.append(polisher.refine(states[1].positions, _through(states), held[1], None)[0])
+            positions.append(polisher.refine(states[1].positions, _through(states), *held[1])[0])
     if len(times) > 1:
         positions.append(states[-1].positions)
     return Anchors(0, times, np.array(positions, np.float32), np.array(residuals), float(times[0]))
@@ -75,7 +77,8 @@ def track_chunk(
     frames and one more on either side where the take has them.
     """
     reader = _Reader(rig, frames, anchors.time_s, settings)
-    tracker = FineTracker(scaled_reference(reader.reference(start, anchors.start_s), settings.fine_width_px), settings)
+    reference = scaled_reference(reader.reference(start, anchors.start_s), settings.fine_width_px)
+    tracker = FineTracker(reference, settings.photometric, settings.correspondence, settings.refine, settings.fine_refinements)
     positions, figures = [], []
     for number in range(first, last + 1):
         time_s = float(anchors.time_s[number - anchors.first])
@@ -124,7 +127,7 @@ class _Reader:
         photographs = {photograph.camera: photograph.image for photograph in self.read(first_s)}
         images = [photographs.get(c) for c in range(len(self.rig))]
         own = self.settings.reference == "own_photograph"
-        return build_reference(start, self.rig, images, own_photographs=own)
+        return build_reference(start, self.rig, images, own_photographs=own, edge_margin_px=self.settings.edge_margin_px)
 
 
 def _through(states: list[CoarseState]) -> Trajectory:
