@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 import subprocess
 from dataclasses import asdict, dataclass, field
@@ -67,7 +68,8 @@ def write_manifest(
         digest=digest_file(artifact),
         settings_digest=settings_digest,
         inputs=relative,
-        figures={name: float(value) for name, value in figures.items()},
+        # JSON has no NaN; a figure that could not be measured is left out
+        figures={name: float(value) for name, value in figures.items() if math.isfinite(value)},
         package_version=headcap.__version__,
         commit=current_commit(),
     )
