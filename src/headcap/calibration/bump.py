@@ -196,8 +196,12 @@ def sampson_distance(first: Camera, second: Camera, x: Array, y: Array) -> Array
 
 
 def _blame(count: int, pairs: Sequence[_Pair], settings: BumpSettings) -> list[int]:
-    """Cameras to leave out, worst first, until every other agrees with most of its neighbours."""
+    """Cameras to leave out, worst first, until every other agrees with most of its neighbours.
+
+    Blurred or noisy pictures raise all residuals alike: the limit rises with the best quarter.
+    """
     blamed: list[int] = []
+    limit_px = max(settings.limit_px, settings.over_others * float(np.percentile([p.residual_px for p in pairs] or [0.0], 25)))
     while True:
         scores = np.zeros(count)
         for camera in range(count):
@@ -208,7 +212,7 @@ def _blame(count: int, pairs: Sequence[_Pair], settings: BumpSettings) -> list[i
             if camera not in blamed and len(own) >= 2:
                 scores[camera] = np.median(own)
         worst = int(np.argmax(scores))
-        if scores[worst] <= settings.limit_px or len(blamed) >= count // 2:
+        if scores[worst] <= limit_px or len(blamed) >= count // 2:
             return blamed
         blamed.append(worst)
 

@@ -46,8 +46,10 @@ def start_lens(camera: str, size: tuple[int, int], views: list[BoardView], corne
     simple = cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_ASPECT_RATIO
     flags = simple | cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_K1
     matrix, distortion = guess, np.zeros(5)
+    # a board in one corner of the image tells the focal length alone
+    spread = np.ptp(np.concatenate([v.pixels for v in usable]), axis=0) / np.array(size)
     for stage in (flags, simple | cv2.CALIB_USE_INTRINSIC_GUESS):
-        if stage != flags and len(usable) < 6:
+        if stage != flags and (len(usable) < 6 or spread.min() < 0.7):
             break
         _, matrix, found, _, _ = cv2.calibrateCamera(objects, images, size, matrix.copy(), distortion.copy(), flags=stage)
         distortion = np.ravel(found)[:5].astype(float)

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from headcap.calibration.detection import CameraDetections
 from headcap.calibration.intrinsics import Lens
+from headcap.calibration.polish import changed_camera, lens_jacobian, lens_prior, skew
 from headcap.calibration.settings import TimingSettings
 from headcap.calibration.start import board_pose
 from headcap.calibration.trajectory import (
@@ -24,7 +25,7 @@ from headcap.calibration.trajectory import (
     spread,
 )
 from headcap.cameras import Camera, Rig
-from headcap.geometry.transforms import from_vector, invert
+from headcap.geometry.transforms import invert
 from headcap.sync.offsets import TimeOffsets
 
 Array = NDArray[np.float64]
@@ -185,24 +186,6 @@ def _free_parameters(rig: Rig, free_cameras: bool, constant_lenses: frozenset[st
     return free.ravel()
 
 
-def lens_jacobian(camera: Camera, xy: Array) -> Array:
-    """(n, 2, 8) derivative of pixels by fx fy cx cy k1 k2 p1 p2 at ideal image plane points (n, 2)."""
-    x, y = xy.T
-    r2 = x * x + y * y
-    k, one, zero = camera.matrix, np.ones_like(x), np.zeros_like(x)
-    plane = (camera.pixels_from_normalised(xy) - k[:2, 2]) / np.diag(k)[:2]
-    fx, fy = k[0, 0], k[1, 1]
-    u = [plane[:, 0], zero, one, zero, fx * x * r2, fx * x * r2**2, fx * 2 * x * y, fx * (r2 + 2 * x * x)]
-    v = [zero, plane[:, 1], zero, one, fy * y * r2, fy * y * r2**2, fy * (r2 + 2 * y * y), fy * 2 * x * y]
-    return np.stack([np.stack(u, axis=1), np.stack(v, axis=1)], axis=1)
-
-
-def _skew(vector: Array) -> Array:
-    x, y, z = vector.T
-    o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], axis=-2)
-
-
 def _sums(camera: Camera, data: _CameraData, trajectory: Trajectory, offset_s: float, sigma_px: Array) -> _Sums:
     """Residuals and derivatives of one camera, summed over the corners of each sighting."""
     first, weights, _ = trajectory.basis(data.time_s + offset_s)
@@ -211,12 +194,12 @@ def _sums(camera: Camera, data: _CameraData, trajectory: Trajectory, offset_s: f
     turned = np.einsum("nij,nj->ni", Rotation.from_quat(state[:, :4]).as_matrix()[data.sighting], data.board)
     world = turned + state[data.sighting, 4:]
     pixels, by_world = camera.project_with_jacobian(world)
-    by_pose = np.concatenate([-by_world @ _skew(turned), by_world], axis=2)
+    by_pose = np.concatenate([-by_world @ skew(turned), by_world], axis=2)
     by_state = by_pose @ motion[data.sighting]
     velocity = np.einsum("nrd,nd->nr", by_state, rate[data.sighting])
     local = world @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     by_local = by_world @ camera.camera_from_world[:3, :3].T
-    by_camera = [-by_local @ _skew(local), by_local, lens_jacobian(camera, local[:, :2] / local[:, 2:]), velocity[..., None]]
+    by_camera = [-by_local @ skew(local), by_local, lens_jacobian(camera, local[:, :2] / local[:, 2:]), velocity[..., None]]
     jacobian = np.concatenate([by_state, *by_camera], axis=2)
     residual = data.pixels - pixels
     length2 = (residual**2).sum(1)
@@ -250,6 +233,10 @@ def _step(state: _State, sums: list[_Sums], free: NDArray[np.bool_], max_offset_
         np.add.at(border[:, own], rows, spread(mixed, s.weights).transpose(0, 2, 1))
         corner[own, own] = s.jacobian[:, WIDTH:, WIDTH:].sum(0)
         right[own] = s.gradient[:, WIDTH:].sum(0)
+        lens = slice(own.start + LENS.start, own.start + LENS.stop)
+        prior, pull = lens_prior(state.rig[c])
+        corner[lens, lens] += prior
+        right[lens] += pull
     clock = np.arange(cameras) * PARAMETERS + CLOCK.start
     # the common mean of the clocks is the trajectory's own: a microsecond's prior keeps it where it is
     corner[np.ix_(clock, clock)] += 1 / (cameras * 1e-6) ** 2
@@ -269,13 +256,7 @@ def _step(state: _State, sums: list[_Sums], free: NDArray[np.bool_], max_offset_
 
 
 def _moved(state: _State, coefficients: Array, step: Array, max_offset_s: float) -> _State:
-    cameras = []
-    for camera, change in zip(state.rig, step, strict=True):
-        matrix, distortion = camera.matrix.copy(), camera.distortion.copy()
-        matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change[LENS][:4]
-        distortion[:4] += change[LENS][4:]
-        pose = from_vector(change[POSE]) @ camera.camera_from_world
-        cameras.append(replace(camera, matrix=matrix, distortion=distortion, camera_from_world=pose))
+    cameras = [changed_camera(camera, change) for camera, change in zip(state.rig, step, strict=True)]
     offset_s = np.clip(state.offset_s + step[:, CLOCK.start], -max_offset_s, max_offset_s)
     trajectory = replace(state.trajectory, coefficients=state.trajectory.coefficients + coefficients)
     return _State(Rig(tuple(cameras)), trajectory, offset_s)

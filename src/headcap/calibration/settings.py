@@ -36,6 +36,7 @@ class RigSettings(_Frozen):
     rounds: int = Field(3, ge=1, description="adjustments, each followed by rejection of outliers")
     max_iterations: int = Field(100, ge=5, description="of one adjustment")
     heldout_share: float = Field(0.2, gt=0, lt=0.6, description="poses left out to measure the error")
+    bend_coverage: float = Field(0.3, ge=0, le=1, description="least coverage at which lenses and poses are adjusted together")
     keep_known_intrinsics: bool = Field(True, description="intrinsics given in the session stay as they are")
 
 
@@ -68,7 +69,8 @@ class BumpSettings(_Frozen):
     neighbours: int = Field(4, ge=2, description="views matched with each view")
     features: int = Field(4000, ge=100, description="SIFT features per view")
     ratio: float = Field(0.85, gt=0, lt=1, description="Lowe's ratio of best to second match")
-    limit_px: float = Field(1.5, gt=0, description="a camera whose views disagree with its neighbours by more is bumped")
+    limit_px: float = Field(1.0, gt=0, description="a camera that disagrees with its neighbours by more is bumped")
+    over_others: float = Field(3.0, gt=1, description="and by more than this multiple of the best quarter of pairs")
     min_matches: int = Field(12, ge=6, description="matches without which a pair of views says nothing")
 
 

@@ -9,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.calibration.board import BoardSettings
+from headcap.calibration.corners import BoardView
 from headcap.calibration.detection import CameraDetections
 from headcap.calibration.gauge import canonical_frame
 from headcap.calibration.grouping import BoardPose, cell_count, group_poses, image_cells
 from headcap.calibration.heldout import HeldOut, measure_heldout, solve_board_pose, split_poses
 from headcap.calibration.intrinsics import Lens, start_lens
+from headcap.calibration.polish import lens_alone, polish
 from headcap.calibration.result import CalibrationResult, CameraFigures, SolvedPose
 from headcap.calibration.rig import Adjusted, adjust_rig
-from headcap.calibration.settings import CalibrateSettings
+from headcap.calibration.settings import CalibrateSettings, RigSettings
 from headcap.calibration.start import start_poses
 from headcap.calibration.timing import VisualTiming, moving_enough, trusted, try_motion, visual_timing
 from headcap.errors import InputError, InputErrors
@@ -37,7 +39,8 @@ def calibrate(
 
     Board poses are grouped over cameras by the common time of `offsets`; the rig is first fitted without the held-out
     poses, which measure it, and then with all. Sightings of the moving board refine it and give each camera's time offset
-    where they fit as well as still ones do. The result is in the rig's canonical frame (`gauge`). Raises `InputErrors`
+    where they fit as well as still ones do. Where some camera saw the board in few places of its image, lenses come from
+    each camera's own views and stay. The result is in the rig's canonical frame (`gauge`). Raises `InputErrors`
     or `InputError` that name cameras which cannot be solved; gates are `result.check_gates`.
     """
     seen = {d.camera: d for d in detections}
@@ -46,6 +49,10 @@ def calibrate(
     lenses = _start_lenses(seen, poses, board.corners, known)
     camera_from_rig, rig_from_board = start_poses(poses, lenses, board.corners, tuple(seen))
     kept = frozenset(known) if settings.rig.keep_known_intrinsics else frozenset()
+    if not _covered(poses, seen, settings.rig):
+        alone = {name: lens_alone(name, lenses[name], _views(seen[name]), board.corners) for name in seen if name not in kept}
+        lenses, kept = {**lenses, **alone}, frozenset(seen)
+        camera_from_rig, rig_from_board = start_poses(poses, lenses, board.corners, tuple(seen))
     fit, held = split_poses(poses, settings.rig.heldout_share)
     moving = moving_enough(detections, settings.timing)
     problem = _Problem(detections, offsets, board, settings, kept, moving)
@@ -84,8 +91,15 @@ class _Problem:
         """Still poses first; then the board's whole motion, where it fits as well as the still poses do."""
         corners, rig_settings = self.board.corners, self.settings.rig
         adjusted = adjust_rig(
-            poses, corners, lenses, camera_from_rig, rig_from_board, rig_settings, constant_lenses=self.constant_lenses
+            poses,
+            corners,
+            lenses,
+            camera_from_rig,
+            rig_from_board,
+            rig_settings,
+            constant_lenses=self.constant_lenses,
         )
+        adjusted = polish(adjusted, corners, self.constant_lenses)
         if not self.moving:
             return adjusted, None
         # a held-out pose is left out with all that was seen of it: the board may have been still for longer
@@ -104,6 +118,24 @@ class _Problem:
             return adjusted, None
         board_poses = tuple(solve_board_pose(fit.rig, pose, corners) for pose in adjusted.poses)
         return replace(adjusted, rig=fit.rig, world_from_board=board_poses), visual_timing(fit)
+
+
+def _covered(poses: Sequence[BoardPose], seen: Mapping[str, CameraDetections], settings: RigSettings) -> bool:
+    """Whether the board was all over the images of every camera, so that lenses and poses can be told together."""
+    shares = [
+        _coverage(np.concatenate([np.empty((0, 2)), *(p.views[name].pixels for p in poses if name in p.views)]), detections)
+        for name, detections in seen.items()
+    ]
+    return min(shares) >= settings.bend_coverage
+
+
+def _views(detections: CameraDetections) -> list[BoardView]:
+    return [detections.view(i) for i in range(len(detections))]
+
+
+def _coverage(pixels: Array, seen: CameraDetections) -> float:
+    """Share of the image's cells in which pixels (n, 2) lie."""
+    return len(np.unique(image_cells(pixels, seen.width, seen.height))) / cell_count(seen.width, seen.height)
 
 
 def _start_lenses(
@@ -146,12 +178,11 @@ def _camera_figures(
 ) -> CameraFigures:
     views = [pose.views[name] for pose in final.poses if name in pose.views]
     pixels = np.concatenate([v.pixels for v in views] or [np.empty((0, 2))])
-    cells = len(np.unique(image_cells(pixels, seen.width, seen.height)))
     return CameraFigures(
         camera=name,
         heldout_rms_px=_or_none(heldout.rms_px(name)),
         heldout_p95_px=_or_none(heldout.p95_px(name)),
-        coverage=cells / cell_count(seen.width, seen.height),
+        coverage=_coverage(pixels, seen),
         poses=len(views),
         corners=len(pixels),
         rejected=final.rejected[name],
