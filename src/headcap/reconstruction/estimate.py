@@ -191,7 +191,7 @@ class _Matcher:
         return planes
 
     def _refine(self, index: int, planes: _Planes, sweeps: int) -> None:
-        _matching, refinement = self.settings.matching, self.settings.refinement
+        refinement = self.settings.refinement
         bend = 2.0**index  # a curved surface leaves its plane as the cell's size squared, in pixels as its size
         for sweep in range(sweeps):
             refine_sweep(

@@ -67,34 +67,47 @@ def load_patch(image, u, v, du, dv, patch):
     return energy
 
 
+@njit(**JIT)
+def aim(m, t, u, v, warp):
+    """Fill warp (n_sources, 12) float32 for a cell at (u, v): M (u, v, 1), the first two columns of M, and t.
+
+    What does not depend on the hypothesis is summed once per cell, in float64.
+    """
+    for s in range(len(t)):
+        for axis in range(3):
+            warp[s, axis] = m[s, axis, 0] * u + m[s, axis, 1] * v + m[s, axis, 2]
+            warp[s, 3 + axis] = m[s, axis, 0]
+            warp[s, 6 + axis] = m[s, axis, 1]
+            warp[s, 9 + axis] = t[s, axis]
+
+
 @njit(inline="always")
-def _corner_inside(x, y, z, width, height):
-    return z > 1e-6 and x >= 0.0 and y >= 0.0 and x < (width - 1.001) * z and y < (height - 1.001) * z
+def window_inside(x0, y0, z0, xu, yu, zu, xv, yv, zv, reach, width, height):
+    """Whether a window's four corners lie in a source and are not mirrored (as by a plane seen from behind)."""
+    if (xu * yv - xv * yu) * z0 + (yu * zv - yv * zu) * x0 + (zu * xv - zv * xu) * y0 <= 0.0:
+        return False
+    right, bottom = width - np.float32(1.001), height - np.float32(1.001)
+    for corner in range(4):
+        du = reach if corner % 2 else -reach
+        dv = reach if corner // 2 else -reach
+        z = z0 + du * zu + dv * zv
+        x, y = x0 + du * xu + dv * xv, y0 + du * yu + dv * yv
+        if not (z > 1e-6 and x >= 0.0 and y >= 0.0 and x < right * z and y < bottom * z):
+            return False
+    return True
 
 
 @njit(**JIT)
-def correlate(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, patch, energy):
-    """1 - normalised cross-correlation of a view's window with its image in one source under a plane hypothesis."""
-    x0 = np.float32(m[0, 0] * u + m[0, 1] * v + m[0, 2] + t[0] * w)
-    y0 = np.float32(m[1, 0] * u + m[1, 1] * v + m[1, 2] + t[1] * w)
-    z0 = np.float32(m[2, 0] * u + m[2, 1] * v + m[2, 2] + t[2] * w)
-    xu, xv = np.float32(m[0, 0] + t[0] * a), np.float32(m[0, 1] + t[0] * b)
-    yu, yv = np.float32(m[1, 0] + t[1] * a), np.float32(m[1, 1] + t[1] * b)
-    zu, zv = np.float32(m[2, 0] + t[2] * a), np.float32(m[2, 1] + t[2] * b)
-    # a back-facing plane mirrors the window
-    if (xu * yv - xv * yu) * z0 + (yu * zv - yv * zu) * x0 + (zu * xv - zv * xu) * y0 <= 0.0:
+def correlate(flat, start, stride, width, height, warp, s, w, a, b, du, dv, patch, energy):
+    """1 - normalised cross-correlation of a view's window with its image in source `s` under a plane hypothesis.
+
+    The source's image begins at flat[start], its rows are `stride` apart; `warp` is as `aim` fills it.
+    """
+    x0, y0, z0 = warp[s, 0] + warp[s, 9] * w, warp[s, 1] + warp[s, 10] * w, warp[s, 2] + warp[s, 11] * w
+    xu, yu, zu = warp[s, 3] + warp[s, 9] * a, warp[s, 4] + warp[s, 10] * a, warp[s, 5] + warp[s, 11] * a
+    xv, yv, zv = warp[s, 6] + warp[s, 9] * b, warp[s, 7] + warp[s, 10] * b, warp[s, 8] + warp[s, 11] * b
+    if not window_inside(x0, y0, z0, xu, yu, zu, xv, yv, zv, du[-1], width, height):
         return NO_MATCH
-    e = du[-1]
-    for sign_u in (-e, e):
-        for sign_v in (-e, e):
-            if not _corner_inside(
-                x0 + sign_u * xu + sign_v * xv,
-                y0 + sign_u * yu + sign_v * yv,
-                z0 + sign_u * zu + sign_v * zv,
-                width,
-                height,
-            ):
-                return NO_MATCH
     one, right, down = np.float32(1.0), np.uint32(1), np.uint32(stride)
     total, square, cross = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for k in range(patch.size):
@@ -119,14 +132,12 @@ def correlate(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, p
 
 
 @njit(**JIT)
-def score(flat, area, stride, sizes, sources, m, t, u, v, w, a, b, du, dv, patch, energy, best_sources, costs):
+def score(flat, area, stride, sizes, sources, warp, w, a, b, du, dv, patch, energy, best_sources, costs):
     """Mean cost over the `best_sources` best of the sources; `costs` receives each source's, sorted."""
     n = len(sources)
     for s in range(n):
         source = sources[s]
-        cost = correlate(
-            flat, source * area, stride, sizes[source, 0], sizes[source, 1], m[s], t[s], u, v, w, a, b, du, dv, patch, energy
-        )
+        cost = correlate(flat, source * area, stride, sizes[source, 0], sizes[source, 1], warp, s, w, a, b, du, dv, patch, energy)
         place = s
         while place > 0 and costs[place - 1] > cost:
             costs[place] = costs[place - 1]
@@ -140,17 +151,21 @@ def score(flat, area, stride, sizes, sources, m, t, u, v, w, a, b, du, dv, patch
 
 
 @njit(**JIT)
-def pixel_of_disparity(m, t, u, v, w):
-    """Inverse depth that moves the median source's image by one pixel, 1/m."""
-    n = len(t)
-    rates = np.empty(n, np.float32)
-    for s in range(n):
-        z = m[s, 2, 0] * u + m[s, 2, 1] * v + m[s, 2, 2] + t[s, 2] * w
-        x = (m[s, 0, 0] * u + m[s, 0, 1] * v + m[s, 0, 2] + t[s, 0] * w) / z
-        y = (m[s, 1, 0] * u + m[s, 1, 1] * v + m[s, 1, 2] + t[s, 1] * w) / z
-        rates[s] = math.hypot((t[s, 0] - x * t[s, 2]) / z, (t[s, 1] - y * t[s, 2]) / z)
-    rates.sort()
-    return np.float32(1.0) / max(rates[n // 2], np.float32(1e-6))
+def same_plane(unit, reach, w, a, b, pw, pa, pb):
+    """Whether two hypotheses differ by less than a twentieth of a pixel over a window: not worth a second look."""
+    near = np.float32(0.05) * unit
+    return abs(pw - w) < near and abs(pa - a) * reach < near and abs(pb - b) * reach < near
+
+
+@njit(**JIT)
+def pixel_of_disparity(warp, w):
+    """Inverse depth that moves the image in the sources by one pixel, 1/m: the harmonic mean over sources."""
+    rate = np.float32(0.0)
+    for s in range(len(warp)):
+        over = np.float32(1.0) / (warp[s, 2] + warp[s, 11] * w)
+        x, y = (warp[s, 0] + warp[s, 9] * w) * over, (warp[s, 1] + warp[s, 10] * w) * over
+        rate += math.sqrt((warp[s, 9] - x * warp[s, 11]) ** 2 + (warp[s, 10] - y * warp[s, 11]) ** 2) * abs(over)
+    return np.float32(len(warp)) / max(rate, np.float32(1e-6))
 
 
 @njit(**JIT)
@@ -160,6 +175,7 @@ def sweep_depths(images, sizes, view, sources, m, t, cell_px, window_px, depths,
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
     du, dv = window_offsets(cell_px, window_px)
     patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
+    warp = np.empty((len(sources), 12), np.float32)
     rows, columns = cost.shape
     image = images[view, : sizes[view, 1], : sizes[view, 0]]
     zero = np.float32(0.0)
@@ -172,11 +188,10 @@ def sweep_depths(images, sizes, view, sources, m, t, cell_px, window_px, depths,
             if energy < min_energy:
                 active[row, column] = False
                 continue
+            aim(m, t, u, v, warp)
             for k in range(len(depths)):
                 w = np.float32(1.0 / depths[k])
-                trial = score(
-                    flat, area, stride, sizes, sources, m, t, u, v, w, zero, zero, du, dv, patch, energy, best_sources, costs
-                )
+                trial = score(flat, area, stride, sizes, sources, warp, w, zero, zero, du, dv, patch, energy, best_sources, costs)
                 if trial < cost[row, column]:
                     cost[row, column] = trial
                     plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = w, zero, zero
@@ -217,6 +232,7 @@ def propagate(
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
     du, dv = window_offsets(cell_px, window_px)
     patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
+    warp = np.empty((len(sources), 12), np.float32)
     rows, columns = cost.shape
     image = images[view, : sizes[view, 1], : sizes[view, 0]]
     state = np.array([seed], np.uint64)
@@ -232,8 +248,10 @@ def propagate(
         if energy < min_energy:
             active[row, column] = False
             continue
+        aim(m, t, u, v, warp)
         w, a, b = plane[row, column, 0], plane[row, column, 1], plane[row, column, 2]
         best = cost[row, column]
+        unit = pixel_of_disparity(warp, w)
         for k in range(4 if far_step > 0 else 2):
             reach = side * (1 if k < 2 else far_step)
             r, c = row + reach * (k % 2), column + reach * (1 - k % 2)
@@ -241,13 +259,13 @@ def propagate(
                 continue
             pa, pb = plane[r, c, 1], plane[r, c, 2]
             pw = plane[r, c, 0] + np.float32(cell_px) * (pa * np.float32(column - c) + pb * np.float32(row - r))
-            if pw <= w_limits[0] or pw >= w_limits[1]:
+            if pw <= w_limits[0] or pw >= w_limits[1] or same_plane(unit, du[-1], w, a, b, pw, pa, pb):
                 continue
-            trial = score(flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs)
+            trial = score(flat, area, stride, sizes, sources, warp, pw, pa, pb, du, dv, patch, energy, best_sources, costs)
             if trial < best:
                 best, w, a, b = trial, pw, pa, pb
-        if trials > 0 and w > 0:
-            unit = pixel_of_disparity(m, t, u, v, w)
+        if w > 0:
+            unit = pixel_of_disparity(warp, w)
             scale = np.float32(1.0)
             for _ in range(trials):
                 pw = w + unit * np.float32(reach_px) * scale * next_random(state)
@@ -256,9 +274,7 @@ def propagate(
                 scale *= np.float32(0.5)
                 if pw <= w_limits[0] or pw >= w_limits[1]:
                     continue
-                trial = score(
-                    flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
-                )
+                trial = score(flat, area, stride, sizes, sources, warp, pw, pa, pb, du, dv, patch, energy, best_sources, costs)
                 if trial < best:
                     best, w, a, b = trial, pw, pa, pb
                     accepted += 1
@@ -290,6 +306,7 @@ def descend(
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
     du, dv = window_offsets(cell_px, window_px)
     patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
+    warp = np.empty((len(sources), 12), np.float32)
     rows, columns = cost.shape
     coarse_rows, coarse_columns = coarse_active.shape
     image = images[view, : sizes[view, 1], : sizes[view, 0]]
@@ -303,7 +320,8 @@ def descend(
             if energy < min_energy:
                 active[row, column] = False
                 continue
-            found = False
+            aim(m, t, u, v, warp)
+            found, unit = False, np.float32(0.0)
             for k in range(4):
                 r = row // 2 + (k // 2) * (2 * (row % 2) - 1)
                 c = column // 2 + (k % 2) * (2 * (column % 2) - 1)
@@ -313,11 +331,13 @@ def descend(
                 pa, pb = half * coarse_plane[r, c, 1], half * coarse_plane[r, c, 2]
                 away_u, away_v = column + 0.5 - 2 * (c + 0.5), row + 0.5 - 2 * (r + 0.5)
                 pw = coarse_plane[r, c, 0] + np.float32(cell_px * away_u) * pa + np.float32(cell_px * away_v) * pb
-                trial = score(
-                    flat, area, stride, sizes, sources, m, t, u, v, pw, pa, pb, du, dv, patch, energy, best_sources, costs
-                )
+                if found and same_plane(
+                    unit, du[-1], plane[row, column, 0], plane[row, column, 1], plane[row, column, 2], pw, pa, pb
+                ):
+                    continue
+                trial = score(flat, area, stride, sizes, sources, warp, pw, pa, pb, du, dv, patch, energy, best_sources, costs)
                 if trial < cost[row, column]:
-                    found = True
+                    found, unit = True, pixel_of_disparity(warp, pw)
                     cost[row, column] = trial
                     plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = pw, pa, pb
             active[row, column] = found

@@ -14,33 +14,32 @@ import math
 import numpy as np
 from numba import njit
 
-from headcap.reconstruction.patchmatch import FROZEN, JIT, correlate, load_patch, pixel_of_disparity, window_offsets
+from headcap.reconstruction.patchmatch import (
+    FROZEN,
+    JIT,
+    aim,
+    correlate,
+    load_patch,
+    pixel_of_disparity,
+    window_inside,
+    window_offsets,
+)
 
 
 @njit(**JIT)
-def sample_system(flat, start, stride, width, height, m, t, u, v, w, a, b, du, dv, patch, energy, unit, system):
-    """One source's normal equations, in steps of `unit` of (w, a, b), in squared grey levels per window.
+def sample_system(flat, start, stride, width, height, warp, s, w, a, b, du, dv, patch, energy, unit, system):
+    """Normal equations of source `s`, in steps of `unit` of (w, a, b), in squared grey levels per window.
 
-    `system` (11,) receives: the upper triangle of J^T J (00 01 02 11 12 22), J^T r (3), the residual's sum of squares
-    after gain and offset, and the correlation. Returns false where the window leaves the source.
+    `system` (n_sources, 11) receives in row s: the upper triangle of J^T J (00 01 02 11 12 22), J^T r (3), the residual's
+    sum of squares after gain and offset, and the correlation. Returns false where the window leaves the source.
     """
-    x0 = np.float32(m[0, 0] * u + m[0, 1] * v + m[0, 2] + t[0] * w)
-    y0 = np.float32(m[1, 0] * u + m[1, 1] * v + m[1, 2] + t[1] * w)
-    z0 = np.float32(m[2, 0] * u + m[2, 1] * v + m[2, 2] + t[2] * w)
-    xu, xv = np.float32(m[0, 0] + t[0] * a), np.float32(m[0, 1] + t[0] * b)
-    yu, yv = np.float32(m[1, 0] + t[1] * a), np.float32(m[1, 1] + t[1] * b)
-    zu, zv = np.float32(m[2, 0] + t[2] * a), np.float32(m[2, 1] + t[2] * b)
-    if (xu * yv - xv * yu) * z0 + (yu * zv - yv * zu) * x0 + (zu * xv - zv * xu) * y0 <= 0.0:
+    x0, y0, z0 = warp[s, 0] + warp[s, 9] * w, warp[s, 1] + warp[s, 10] * w, warp[s, 2] + warp[s, 11] * w
+    xu, yu, zu = warp[s, 3] + warp[s, 9] * a, warp[s, 4] + warp[s, 10] * a, warp[s, 5] + warp[s, 11] * a
+    xv, yv, zv = warp[s, 6] + warp[s, 9] * b, warp[s, 7] + warp[s, 10] * b, warp[s, 8] + warp[s, 11] * b
+    if not window_inside(x0, y0, z0, xu, yu, zu, xv, yv, zv, du[-1], width, height):
         return False
-    e = du[-1]
-    for sign_u in (-e, e):
-        for sign_v in (-e, e):
-            z = z0 + sign_u * zu + sign_v * zv
-            x, y = x0 + sign_u * xu + sign_v * xv, y0 + sign_u * yu + sign_v * yv
-            if not (z > 1e-6 and x >= 0.0 and y >= 0.0 and x < (width - 1.001) * z and y < (height - 1.001) * z):
-                return False
     one, zero, right, down = np.float32(1.0), np.float32(0.0), np.uint32(1), np.uint32(stride)
-    tx, ty, tz = np.float32(t[0] * unit), np.float32(t[1] * unit), np.float32(t[2] * unit)
+    tx, ty, tz = warp[s, 9] * unit, warp[s, 10] * unit, warp[s, 11] * unit
     s_v, s_vv, s_rv = zero, zero, zero
     g0, g1, g2 = zero, zero, zero
     v0, v1, v2 = zero, zero, zero
@@ -90,17 +89,17 @@ def sample_system(flat, start, stride, width, height, m, t, u, v, w, a, b, du, d
     v1 -= s_v * g1 * over_n
     v2 -= s_v * g2 * over_n
     gain2, over_v = gain * gain, one / variance
-    system[0] = gain2 * (h00 - g0 * g0 * over_n - v0 * v0 * over_v)
-    system[1] = gain2 * (h01 - g0 * g1 * over_n - v0 * v1 * over_v)
-    system[2] = gain2 * (h02 - g0 * g2 * over_n - v0 * v2 * over_v)
-    system[3] = gain2 * (h11 - g1 * g1 * over_n - v1 * v1 * over_v)
-    system[4] = gain2 * (h12 - g1 * g2 * over_n - v1 * v2 * over_v)
-    system[5] = gain2 * (h22 - g2 * g2 * over_n - v2 * v2 * over_v)
-    system[6] = gain * (r0 - gain * v0)
-    system[7] = gain * (r1 - gain * v1)
-    system[8] = gain * (r2 - gain * v2)
-    system[9] = energy - gain * s_rv
-    system[10] = s_rv / math.sqrt(variance * energy)
+    system[s, 0] = gain2 * (h00 - g0 * g0 * over_n - v0 * v0 * over_v)
+    system[s, 1] = gain2 * (h01 - g0 * g1 * over_n - v0 * v1 * over_v)
+    system[s, 2] = gain2 * (h02 - g0 * g2 * over_n - v0 * v2 * over_v)
+    system[s, 3] = gain2 * (h11 - g1 * g1 * over_n - v1 * v1 * over_v)
+    system[s, 4] = gain2 * (h12 - g1 * g2 * over_n - v1 * v2 * over_v)
+    system[s, 5] = gain2 * (h22 - g2 * g2 * over_n - v2 * v2 * over_v)
+    system[s, 6] = gain * (r0 - gain * v0)
+    system[s, 7] = gain * (r1 - gain * v1)
+    system[s, 8] = gain * (r2 - gain * v2)
+    system[s, 9] = energy - gain * s_rv
+    system[s, 10] = s_rv / math.sqrt(variance * energy)
     return True
 
 
@@ -167,10 +166,7 @@ def _assemble(
     stride,
     sizes,
     sources,
-    m,
-    t,
-    u,
-    v,
+    warp,
     w,
     a,
     b,
@@ -199,10 +195,8 @@ def _assemble(
             stride,
             sizes[source, 0],
             sizes[source, 1],
-            m[s],
-            t[s],
-            u,
-            v,
+            warp,
+            s,
             w,
             a,
             b,
@@ -211,7 +205,7 @@ def _assemble(
             patch,
             energy,
             unit,
-            system[s],
+            system,
         ):
             correlation[s] = system[s, 10]
             best = max(best, system[s, 10])
@@ -233,14 +227,14 @@ def _assemble(
 
 
 @njit(**JIT)
-def _weighted_energy(flat, area, stride, sizes, sources, m, t, u, v, w, a, b, du, dv, patch, energy, weights):
+def _weighted_energy(flat, area, stride, sizes, sources, warp, w, a, b, du, dv, patch, energy, weights):
     """The photographs' part of the energy with the weights held; what is left after the best gain is 1 - correlation^2."""
     total = np.float32(0.0)
     for s in range(len(sources)):
         if weights[s] > 0.0:
             source = sources[s]
             cost = correlate(
-                flat, source * area, stride, sizes[source, 0], sizes[source, 1], m[s], t[s], u, v, w, a, b, du, dv, patch, energy
+                flat, source * area, stride, sizes[source, 0], sizes[source, 1], warp, s, w, a, b, du, dv, patch, energy
             )
             correlation = max(np.float32(1.0) - cost, np.float32(0.0))
             total += weights[s] * energy * (np.float32(1.0) - correlation * correlation)
@@ -282,7 +276,7 @@ def refine_sweep(
     n = len(sources)
     patch = np.empty(du.size, np.float32)
     weights, correlation = np.zeros(n, np.float32), np.zeros(n, np.float32)
-    system = np.empty((n, 11), np.float32)
+    system, warp = np.empty((n, 11), np.float32), np.empty((n, 12), np.float32)
     h, g, step = np.empty(6, np.float32), np.empty(3, np.float32), np.zeros(3, np.float32)
     rows, columns = cost.shape
     image = images[view, : sizes[view, 1], : sizes[view, 0]]
@@ -297,17 +291,15 @@ def refine_sweep(
         u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
         energy = load_patch(image, u, v, du, dv, patch)
         w, a, b = plane[row, column, 0], plane[row, column, 1], plane[row, column, 2]
-        unit = pixel_of_disparity(m, t, u, v, w)
+        aim(m, t, u, v, warp)
+        unit = pixel_of_disparity(warp, w)
         before = _assemble(
             flat,
             area,
             stride,
             sizes,
             sources,
-            m,
-            t,
-            u,
-            v,
+            warp,
             w,
             a,
             b,
@@ -344,7 +336,7 @@ def refine_sweep(
             step[1] *= shrink
             step[2] *= shrink
         nw, na, nb = w + unit * step[0], a + unit * step[1], b + unit * step[2]
-        after = _weighted_energy(flat, area, stride, sizes, sources, m, t, u, v, nw, na, nb, du, dv, patch, energy, weights)
+        after = _weighted_energy(flat, area, stride, sizes, sources, warp, nw, na, nb, du, dv, patch, energy, weights)
         after += neighbour_prior(plane, active, row, column, cell_px, unit, nw, na, nb, sigma, sigma_slope, limit, h, g)
         if after < before:
             accepted += 1

@@ -17,6 +17,13 @@ def _scene(ball, *, level=0, view=0):
     return stacked, sources, m, t
 
 
+def _warp(m):
+    """The warp of a cell at (100.5, 120.5) by a homography that does not depend on depth."""
+    warp = np.empty((1, 12), np.float32)
+    patchmatch.aim(m[None], np.zeros((1, 3)), 100.5, 120.5, warp)
+    return warp
+
+
 def test_random_numbers_fill_the_interval():
     state = np.array([5], np.uint64)
     drawn = np.array([patchmatch.next_random(state) for _ in range(4000)])
@@ -47,7 +54,7 @@ def test_correlation_is_perfect_with_itself(ball):
     energy = patchmatch.load_patch(stacked.images[0], 100.5, 120.5, du, dv, patch)
     height, width = stacked.images.shape[1:]
     cost = patchmatch.correlate(
-        stacked.images.reshape(-1), 0, width, width, height, np.eye(3), np.zeros(3), 100.5, 120.5,
+        stacked.images.reshape(-1), 0, width, width, height, _warp(np.eye(3)), 0,
         np.float32(1), np.float32(0), np.float32(0), du, dv, patch, energy,
     )  # fmt: skip
     assert abs(cost) < 1e-4  # float32 sums of 64 squares of 8-bit levels
@@ -62,7 +69,7 @@ def test_window_leaving_the_source_never_matches(ball):
     aside = np.eye(3)
     aside[0, 2] = 97.0  # 100.5 + 97 + half a window is beyond the last column
     cost = patchmatch.correlate(
-        stacked.images.reshape(-1), 0, width, width, height, aside, np.zeros(3), 100.5, 120.5,
+        stacked.images.reshape(-1), 0, width, width, height, _warp(aside), 0,
         np.float32(1), np.float32(0), np.float32(0), du, dv, patch, energy,
     )  # fmt: skip
     assert cost == patchmatch.NO_MATCH

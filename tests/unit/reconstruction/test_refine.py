@@ -5,7 +5,7 @@ import pytest
 
 from headcap.reconstruction import refine
 from headcap.reconstruction.maps import cell_camera
-from headcap.reconstruction.patchmatch import correlate, load_patch, pixel_of_disparity, window_offsets
+from headcap.reconstruction.patchmatch import aim, correlate, load_patch, pixel_of_disparity, window_offsets
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.reconstruction.views import build_level, choose_sources, pair_geometry, pinhole_views, subject_centre
 
@@ -22,17 +22,18 @@ def scene(ball):
 def test_gradient_agrees_with_finite_differences(scene):
     level, sources, m, t = scene
     du, dv = window_offsets(2, 8)
-    patch, system = np.empty(64, np.float32), np.empty(11, np.float32)
+    patch, system, warp = np.empty(64, np.float32), np.empty((1, 11), np.float32), np.empty((1, 12), np.float32)
     u, v, w, a, b = 90.5, 110.5, np.float32(1 / 0.702), np.float32(2e-5), np.float32(1e-5)
     energy = load_patch(level.images[0], u, v, du, dv, patch)
     height, width = level.images.shape[1:]
     start, flat = int(sources[0]) * height * width, level.images.reshape(-1)
-    unit = pixel_of_disparity(m, t, u, v, w)
-    assert refine.sample_system(flat, start, width, width, height, m[0], t[0], u, v, w, a, b, du, dv, patch, energy, unit, system)
+    aim(m[:1], t[:1], u, v, warp)
+    unit = pixel_of_disparity(warp, w)
+    assert refine.sample_system(flat, start, width, width, height, warp, 0, w, a, b, du, dv, patch, energy, unit, system)
 
     def half_energy(step):
         trial = [np.float32(value + unit * change) for value, change in zip((w, a, b), step, strict=True)]
-        cost = correlate(flat, start, width, width, height, m[0], t[0], u, v, *trial, du, dv, patch, energy)
+        cost = correlate(flat, start, width, width, height, warp, 0, *trial, du, dv, patch, energy)
         return 0.5 * energy * (1 - (1 - cost) ** 2)
 
     # steps of a fiftieth of a pixel at the window's rim: second-order terms and the kinks of bilinear sampling stay
@@ -41,8 +42,8 @@ def test_gradient_agrees_with_finite_differences(scene):
         step = np.zeros(3)
         step[k] = h
         numeric = (half_energy(step) - half_energy(-step)) / (2 * h)
-        assert -system[6 + k] == pytest.approx(numeric, rel=0.1, abs=0.02 * float(np.abs(system[6:9]).max()))
-    assert system[9] == pytest.approx(2 * half_energy(np.zeros(3)), rel=1e-3)
+        assert -system[0, 6 + k] == pytest.approx(numeric, rel=0.1, abs=0.02 * float(np.abs(system[0, 6:9]).max()))
+    assert system[0, 9] == pytest.approx(2 * half_energy(np.zeros(3)), rel=1e-3)
 
 
 def test_cholesky_solves_and_refuses_singular():
@@ -64,7 +65,9 @@ def test_sweeps_bring_cells_nearer_to_the_truth(scene, ball):
     active = np.isfinite(truth) & (np.hypot(rows - 59.5, columns - 49.5) < 35)  # up to 45 degrees of tilt
     inverse = np.where(active, 1 / np.where(active, truth, 1), 0)
     slopes = np.stack(np.gradient(inverse), -1)[..., ::-1] / 2
-    unit = float(pixel_of_disparity(m, t, 100.0, 120.0, np.float32(1 / 0.7)))
+    warp = np.empty((len(t), 12), np.float32)
+    aim(m, t, 100.0, 120.0, warp)
+    unit = float(pixel_of_disparity(warp, np.float32(1 / 0.7)))
     plane = np.concatenate([inverse[..., None] + unit * rng.uniform(-0.5, 0.5, (*truth.shape, 1)), slopes], -1).astype(np.float32)
     cost, spread = np.zeros(truth.shape, np.float32), np.zeros(truth.shape, np.float32)
     settled = np.zeros(truth.shape, np.uint8)
