@@ -11,6 +11,7 @@ acceleration from the frames before and the running estimate; the fine pass inte
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,7 @@ from headcap.registration.flow import dense_flow
 from headcap.registration.graph import GraphSolver, Pose, build_graph, predict
 from headcap.registration.local_contrast import normalise
 from headcap.registration.photographs import Photograph
-from headcap.registration.photometric import Normal, PhotometricSettings, inner, photometric_normal
+from headcap.registration.photometric import Normal, PhotometricSettings, ViewComparison, inner
 from headcap.registration.reference import Reference
 from headcap.registration.refine import Refiner
 from headcap.registration.render import project, shade, visible_vertices
@@ -82,12 +83,17 @@ class CoarseTracker:
         figures: dict[str, float] = {}
         displacement, pairs = before.displacement, None
         for _ in range(self.settings.coarse_rounds):
-            motion = BackwardMotion.between(time_s, self.graph.deform(pose) + displacement, before, earlier)
+            positions = self.graph.deform(pose) + displacement
+            motion = BackwardMotion.between(time_s, positions, before, earlier)
             pose, pairs, figures = self._round(pose, before.pose, displacement, motion, photographs, cloud)
+            step_mm = 1e3 * float(np.percentile(np.linalg.norm(self.graph.deform(pose) + displacement - positions, axis=1), 99))
+            if step_mm < self.settings.coarse_settled_mm:
+                break
         for _ in range(self.settings.coarse_refinements):
             positions = self.graph.deform(pose) + displacement
             motion = BackwardMotion.between(time_s, positions, before, earlier)
-            normal = self._surface_flow(positions, motion, photographs)
+            flow = SurfaceFlow(self.reference, positions, motion.offset, photographs, self.settings.coarse_photometric)
+            normal = flow.normal(positions)
             if pairs is not None:
                 triangles = self.reference.template.triangles
                 normal = normal + pairs_normal(pairs, positions, triangles, self.settings.correspondence, slide=True)
@@ -139,24 +145,34 @@ class CoarseTracker:
         visible = visible_vertices(view.projection, triangles, len(positions))
         return vertex_targets(view, positions, vertex_normals(positions, triangles), visible, self.settings.correspondence)
 
-    def _surface_flow(self, positions: NDArray, motion: BackwardMotion, photographs: list[Photograph]) -> Normal:
-        return surface_flow(self.reference, positions, motion.offset, photographs, self.settings.coarse_photometric)
 
+class SurfaceFlow:
+    """All views' photographs beside the rendering of a mesh (n, 3); `offset(delay_s)` is its motion (n, 3) within the frame."""
 
-def surface_flow(
-    reference: Reference, positions: NDArray, offset, photographs: list[Photograph], settings: PhotometricSettings
-) -> Normal:
-    """What all views' photographs say about the mesh (n, 3); `offset(delay_s)` is its motion (n, 3) within the frame."""
-    triangles = reference.template.triangles
-    normals = vertex_normals(positions, triangles)
-    total = Normal.zero(len(positions))
-    for photograph in photographs:
-        c = photograph.camera
-        moved = positions + offset(photograph.delay_s)
-        total = total + photometric_normal(
-            reference.cameras[c], reference.sources[c], moved, normals, triangles, photograph.image, settings
-        )
-    return total
+    def __init__(
+        self,
+        reference: Reference,
+        positions: NDArray,
+        offset: Callable[[float], NDArray],
+        photographs: list[Photograph],
+        settings: PhotometricSettings,
+    ) -> None:
+        triangles = reference.template.triangles
+        normals = vertex_normals(positions, triangles)
+        self.offsets = [offset(photograph.delay_s) for photograph in photographs]
+        self.views = [
+            ViewComparison(
+                reference.cameras[p.camera], reference.sources[p.camera], positions + moved, normals, triangles, p.image, settings
+            )
+            for p, moved in zip(photographs, self.offsets, strict=True)
+        ]
+
+    def normal(self, positions: NDArray) -> Normal:
+        """What all photographs say about the mesh (n, 3) where it is now."""
+        total = Normal.zero(len(positions))
+        for view, offset in zip(self.views, self.offsets, strict=True):
+            total = total + view.normal(positions + offset)
+        return total
 
 
 @dataclass(frozen=True)

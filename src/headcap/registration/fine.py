@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.reconstruction.points import PointCloud
-from headcap.registration.coarse import surface_flow
+from headcap.registration.coarse import SurfaceFlow
 from headcap.registration.correspondence import CorrespondenceSettings, PointPairs, ViewFlow, pairs_normal, point_pairs
 from headcap.registration.photographs import Photograph
 from headcap.registration.photometric import PhotometricSettings
 from headcap.registration.reference import Reference
 from headcap.registration.refine import Refiner, RefineSettings
-from headcap.registration.render import project
 
 
 @dataclass(frozen=True)
@@ -64,13 +63,13 @@ class FineTracker:
         self, coarse: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud | None
     ) -> tuple[NDArray[np.float64], dict[str, float]]:
         """Positions (n, 3) of one frame from its coarse ones, and the residuals left."""
-        displacement = np.zeros_like(coarse)
+        flow = SurfaceFlow(self.reference, coarse, trajectory.offset, photographs, self.photometric)
+        pairs = None if cloud is None else self._pairs(flow, coarse, cloud)
         # each step is regularised by itself: an error of the coarse pass is no shape to hold on to
-        still = np.zeros_like(coarse)
+        displacement, still = np.zeros_like(coarse), np.zeros_like(coarse)
         figures: dict[str, float] = {}
-        pairs = None if cloud is None else self._pairs(coarse, trajectory, photographs, cloud)
         for _ in range(self.refinements):
-            normal = surface_flow(self.reference, coarse + displacement, trajectory.offset, photographs, self.photometric)
+            normal = flow.normal(coarse + displacement)
             if pairs is not None:
                 triangles = self.reference.template.triangles
                 normal = normal + pairs_normal(pairs, coarse + displacement, triangles, self.correspondence, slide=True)
@@ -79,13 +78,7 @@ class FineTracker:
             figures = {"surface_flow_residual": normal.residual, "last_step_mm": 1e3 * float(np.sqrt((update**2).sum(1).mean()))}
         return coarse + displacement, figures
 
-    def _pairs(self, positions: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud) -> PointPairs:
+    def _pairs(self, flow: SurfaceFlow, positions: NDArray, cloud: PointCloud) -> PointPairs:
         """Equation 6 once the mesh lies where the photographs show it: no flow is left between rendering and photograph."""
-        triangles = self.reference.template.triangles
-        offsets = [trajectory.offset(photograph.delay_s) for photograph in photographs]
-        views = []
-        for photograph, offset in zip(photographs, offsets, strict=True):
-            camera = self.reference.cameras[photograph.camera]
-            projection = project(camera, positions + offset, triangles)
-            views.append(ViewFlow(camera, projection, None, projection.raster.hit, None))
-        return point_pairs(cloud, views, offsets, positions, triangles, self.correspondence)
+        views = [ViewFlow(view.camera, view.projection, None, view.projection.raster.hit, None) for view in flow.views]
+        return point_pairs(cloud, views, flow.offsets, positions, self.reference.template.triangles, self.correspondence)

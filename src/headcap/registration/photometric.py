@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.cameras import Camera
-from headcap.registration.local_contrast import normalise
-from headcap.registration.render import Source, project, shade
+from headcap.registration.local_contrast import Normalised, normalise
+from headcap.registration.render import Source, look_up, project, shade
 
 
 class PhotometricSettings(BaseModel):
@@ -57,45 +57,60 @@ class Normal:
         return Normal(self.blocks + other.blocks, self.right + other.right, max(self.residual, other.residual))
 
 
-def photometric_normal(
-    camera: Camera,
-    source: Source,
-    vertices_world: NDArray,
-    normals: NDArray,
-    triangles: NDArray,
-    photograph: NDArray[np.float32],
-    settings: PhotometricSettings,
-) -> Normal:
-    """What one view's grey photograph (h, w) says about a mesh's vertices (n, 3) at that photograph's moment."""
-    projection = project(camera, vertices_world, triangles)
-    n = len(vertices_world)
-    if projection.raster.triangle.size == 0:
-        return Normal(np.zeros((n, 6)), np.zeros((n, 3)), 0.0)
-    rendered, known = shade(projection, triangles, source)
-    residual, gradient, variance = _compare(rendered, photograph[projection.window.slices], known, settings)
-    weight = np.where(inner(known, settings.margin_px), 1.0 / variance, 0.0).astype(np.float32)
-    jacobian, cosine = _vertex_jacobian(camera, vertices_world, normals, settings.least_cosine)
-    blocks, right = np.zeros((n, 6)), np.zeros((n, 3))
-    raster = projection.raster
-    total = _accumulate(
-        raster.triangle, raster.barycentric, triangles, residual, *gradient, weight, jacobian, cosine,
-        settings.robust_scale**2, blocks, right,
-    )  # fmt: skip
-    return Normal(blocks, right, float(np.sqrt(total[0] / max(total[1], 1e-12))))
+class ViewComparison:
+    """One view's photograph beside the rendering of a mesh; the mesh may then move a little without being rendered again.
 
+    `vertices_world` (n, 3) is the mesh at the photograph's moment, `photograph` grey (h, w).
+    """
 
-def _compare(rendered, photograph, known, settings):
-    a = normalise(rendered, known, window_px=settings.window_px, floor=settings.contrast_floor)
-    b = normalise(photograph, known, window_px=settings.window_px, floor=settings.contrast_floor)
-    mean = 0.5 * (a.image + b.image)
-    # derivative by central differences, like the linearisation point half-way between both images
-    gradient = (
-        cv2.Sobel(mean, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8),
-        cv2.Sobel(mean, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8),
-    )
-    contrast = np.minimum(a.contrast, b.contrast)
-    variance = settings.mismatch**2 + 2 * (settings.noise / contrast) ** 2
-    return a.image - b.image, gradient, variance
+    def __init__(
+        self,
+        camera: Camera,
+        source: Source,
+        vertices_world: NDArray,
+        normals: NDArray,
+        triangles: NDArray,
+        photograph: NDArray[np.float32],
+        settings: PhotometricSettings,
+    ) -> None:
+        self.camera, self.triangles, self.photograph, self.settings = camera, triangles, photograph, settings
+        self.projection = project(camera, vertices_world, triangles)
+        self.empty = self.projection.raster.triangle.size == 0
+        if self.empty:
+            return
+        rendered, self._known = shade(self.projection, triangles, source)
+        self._rendered = self._normalise(rendered, self._known)
+        self._inner = inner(self._known, settings.margin_px)
+        self._jacobian, self._cosine = _vertex_jacobian(camera, vertices_world, normals, settings.least_cosine)
+
+    def normal(self, vertices_world: NDArray) -> Normal:
+        """What the photograph says about the mesh (n, 3) where it is now: rendered pixels are looked up where they moved to."""
+        n = len(vertices_world)
+        if self.empty:
+            return Normal.zero(n)
+        pixels = self.camera.project(vertices_world)[0].astype(np.float32)
+        seen, found = look_up(self.projection.raster, self.triangles, pixels, self.photograph, self._known)
+        residual, gradient, weight = self._compare(self._normalise(seen, found), found)
+        blocks, right = np.zeros((n, 6)), np.zeros((n, 3))
+        raster = self.projection.raster
+        total = _accumulate(
+            raster.triangle, raster.barycentric, self.triangles, residual, *gradient, weight, self._jacobian, self._cosine,
+            self.settings.robust_scale**2, blocks, right,
+        )  # fmt: skip
+        return Normal(blocks, right, float(np.sqrt(total[0] / max(total[1], 1e-12))))
+
+    def _normalise(self, image: NDArray, known: NDArray) -> Normalised:
+        return normalise(image, known, window_px=self.settings.window_px, floor=self.settings.contrast_floor)
+
+    def _compare(self, seen: Normalised, found: NDArray[np.bool_]):
+        settings, rendered = self.settings, self._rendered
+        mean = 0.5 * (rendered.image + seen.image)
+        # derivative by central differences of both images' mean: the linearisation point half-way between them
+        gradient = tuple(cv2.Sobel(mean, cv2.CV_32F, dx, 1 - dx, ksize=3, scale=1 / 8) for dx in (1, 0))
+        contrast = np.minimum(rendered.contrast, seen.contrast)
+        variance = settings.mismatch**2 + 2 * (settings.noise / contrast) ** 2
+        weight = np.where(self._inner & found, 1.0 / variance, 0.0).astype(np.float32)
+        return rendered.image - seen.image, gradient, weight
 
 
 def inner(known: NDArray[np.bool_], margin_px: int) -> NDArray[np.bool_]:

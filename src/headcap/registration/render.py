@@ -88,6 +88,20 @@ def shade(projection: Projection, triangles: NDArray, source: Source) -> tuple[N
     return image, known
 
 
+def look_up(
+    raster: Raster, triangles: NDArray, pixels: NDArray[np.float32], picture: NDArray[np.float32], wanted: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Grey levels (h, w) of a picture where the surface points of a raster's wanted pixels lie in it, and where they lie inside.
+
+    `pixels` (n, 2) are the vertices in the picture.
+    """
+    image, known = np.zeros(raster.triangle.shape, np.float32), np.zeros(raster.triangle.shape, np.bool_)
+    triangle = np.where(wanted, raster.triangle, -1)
+    everywhere, all_triangles = np.ones(picture.shape, np.bool_), np.ones(len(triangles), np.bool_)
+    _look_up(triangle, raster.barycentric, triangles, pixels, picture, everywhere, all_triangles, image, known)
+    return image, known
+
+
 def visible_share(raster: Raster, pixels: NDArray, triangles: NDArray) -> NDArray[np.float64]:
     """(m,) share of each triangle's projected area that the z-buffer leaves to it; 0 for triangles turned away.
 

@@ -23,6 +23,9 @@ class TrackSettings(BaseModel):
     edge_margin_px: int = Field(1, description="A first photograph is not used this near an occluding edge, pixels")
     coarse_width_px: int = Field(270, description="Images are reduced to about this width (shorter side) for the coarse pass")
     coarse_rounds: int = Field(2, description="Rounds of render, flow and graph per frame in the coarse pass")
+    coarse_settled_mm: float = Field(
+        0.8, description="A round that moves 99 % of the vertices less than this is the frame's last"
+    )
     coarse_refinements: int = Field(1, description="Surface-flow steps after the graph in the coarse pass")
     fine_width_px: int = Field(
         540, description="Images wider than this (shorter side) are reduced to it for the fine pass; 0 never"
