@@ -17,6 +17,20 @@ _FINISHED = re.compile(r"^Finished jobid: (\d+) \(Rule: (\w+)\)")
 _STEPS = re.compile(r"^(\d+) of (\d+) steps \(")
 _COUNT = re.compile(r"^(\w+) +(\d+)$")
 
+USUAL_S = {
+    "rehearse": 400.0,
+    "calibrate": 12.0,
+    "register": 25.0,
+    "reconstruct": 80.0,
+    "track_start": 25.0,
+    "track_anchors": 150.0,
+    "track": 80.0,
+    "evaluate": 40.0,
+    "report": 15.0,
+}
+"""What a job of a stage usually takes; only the proportions count."""
+OTHER_S = 5.0
+
 
 @dataclass
 class Progress:
@@ -58,17 +72,24 @@ class Progress:
         return None
 
     def time_left(self) -> str:
-        """How much longer, from the jobs of each stage that are over; stages not yet met count as the mean job."""
-        spent = [duration for durations in self._durations.values() for duration in durations]
+        """How much longer: stages that were met take as long as they took, others in proportion to what is usual."""
+        spent = sum(sum(durations) for durations in self._durations.values())
         if not spent or not self._total:
             return "time left is not known yet"
-        elapsed = self.clock() - self._began
-        mean = sum(spent) / len(spent)
+        usual = sum(USUAL_S.get(rule, OTHER_S) * len(durations) for rule, durations in self._durations.items())
         known = self._counts - self._finished
+        work = sum(count * self._job_s(rule, spent / usual) for rule, count in known.items())
+        # jobs that came to be known while running are chunks of frames
         unknown = max(0, self._total - self._done - sum(known.values()))
-        work = sum(count * _mean(self._durations.get(rule), mean) for rule, count in known.items()) + unknown * mean
+        work += unknown * self._job_s("reconstruct", spent / usual)
         # jobs run side by side: as many seconds of jobs passed in a second as so far
-        return f"about {_spoken(work * elapsed / max(sum(spent), 1e-9))} left"
+        left = _spoken(work * (self.clock() - self._began) / spent)
+        open_ended = "evaluate" in known and not unknown and not {"reconstruct", "track"} & {*self._counts, *self._finished}
+        return f"at least {left} left" if open_ended else f"about {left} left"
+
+    def _job_s(self, rule: str, pace: float) -> float:
+        met = self._durations.get(rule)
+        return sum(met) / len(met) if met else pace * USUAL_S.get(rule, OTHER_S)
 
     def _count(self, line: str) -> None:
         if match := _COUNT.match(line):
@@ -91,10 +112,6 @@ class Progress:
         self._finished[rule] += 1
         if jobid in self._started:
             self._durations[rule].append(self.clock() - self._started.pop(jobid))
-
-
-def _mean(values: list[float] | None, otherwise: float) -> float:
-    return sum(values) / len(values) if values else otherwise
 
 
 def _spoken(seconds: float) -> str:
