@@ -26,6 +26,7 @@ from headcap.reconstruction.points import PointCloud
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 from headcap.sync.offsets import TimeOffsets
+from headcap.sync.timeline import TakeTimeline
 
 
 @dataclass(frozen=True)
@@ -44,8 +45,13 @@ class SessionFolder:
         return self.folder / "sync" / f"{take}.json"
 
     def clouds(self, take: str) -> list[Path]:
-        """Point clouds of a take in the order of frames."""
-        return sorted((self.folder / "reconstruct" / take).glob("frame_*.ply"))
+        """Point clouds of a take in the order of frames; those of frames the take no longer has are left aside."""
+        found = sorted((self.folder / "reconstruct" / take).glob("frame_*.ply"))
+        timeline = self.folder / "sync" / f"{take}.timeline.json"
+        if not timeline.is_file():
+            return found
+        frames = set(TakeTimeline.load(timeline).frames.tolist())
+        return [path for path in found if int(path.stem.removeprefix("frame_")) in frames]
 
     def sequence(self, take: str) -> Path:
         """The tracked take."""
