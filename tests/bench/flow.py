@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from run import measure, write  # noqa: E402
+from run import measure, write
 
-from headcap.registration.flow import FlowSettings, dense_flow  # noqa: E402
+from headcap.registration.flow import FlowSettings, dense_flow
 
 
 def run(out_path: Path) -> None:

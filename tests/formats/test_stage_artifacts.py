@@ -29,7 +29,7 @@ def test_point_cloud(tmp_path):
 
 def test_point_cloud_refuses_a_stranger_and_a_stump(tmp_path):
     (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
-    with pytest.raises(ArtifactError, match="is no headcap.point_cloud/1"):
+    with pytest.raises(ArtifactError, match=r"is no headcap\.point_cloud/1"):
         PointCloud.load(tmp_path / "a.ply")
     one = np.zeros((1, 3), np.float32)
     PointCloud(one, one, np.ones(1, np.float32), np.zeros((1, 3), np.uint8), 0.0).save(tmp_path / "b.ply")

@@ -123,7 +123,7 @@ def test_tracked_vertices_are_where_the_material_went(scene):
     # a pixel is 0.45 mm on the skin: 0.2 px in the middle of the distribution, a pixel in its tail
     assert np.median(errors) < 0.09e-3
     assert np.percentile(errors, 95) < 0.45e-3
-    middle = [np.flatnonzero((np.abs(REST[:, 0]) < 1e-6) & (np.abs(REST[:, 1]) < 1e-6) & (SIDE == side))[0] for side in (1, -1)]
+    middle = [np.flatnonzero((np.abs(REST[:, 0]) < 1e-6) & (np.abs(REST[:, 1]) < 1e-6) & (side == SIDE))[0] for side in (1, -1)]
     gap = np.linalg.norm(positions[-1][middle[0]] - positions[-1][middle[1]])
     truth = np.linalg.norm(moved(timeline[-1])[middle[0]] - moved(timeline[-1])[middle[1]])
     assert truth > 1.5e-3

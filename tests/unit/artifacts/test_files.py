@@ -47,9 +47,14 @@ def test_a_file_cut_short_is_refused(tmp_path):
 def test_an_interrupted_write_leaves_the_old_file(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("old")
-    with pytest.raises(RuntimeError, match="power"), atomic_path(target) as temporary:
-        temporary.write_text("half")
-        raise RuntimeError("power cut")
+
+    def write_and_fail() -> None:
+        with atomic_path(target) as temporary:
+            temporary.write_text("half")
+            raise RuntimeError("power cut")
+
+    with pytest.raises(RuntimeError, match="power"):
+        write_and_fail()
     assert target.read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == ["a.txt"]
 
