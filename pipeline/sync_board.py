@@ -9,7 +9,7 @@ from headcap.sync.settings import SyncSettings
 from headcap.sync.solve import synchronise
 
 
-def run(*, ingested: Path, offsets: Path, manual_s: dict[str, float], settings: SyncSettings) -> None:
+def run(*, ingested: Path, checked: Path, offsets: Path, manual_s: dict[str, float], settings: SyncSettings) -> None:
     take = IngestedTake.load(ingested)
     found = synchronise(read_sounds(take), take=take.take, manual_start_s=manual_s, settings=settings)
     found.offsets.save(offsets)
@@ -18,7 +18,7 @@ def run(*, ingested: Path, offsets: Path, manual_s: dict[str, float], settings: 
         kind="time_offsets",
         stage="sync_board",
         settings_digest=digest_settings(settings=settings, manual_s=manual_s),
-        inputs=[ingested],
+        inputs=[ingested, checked],
         figures={},
     )
 

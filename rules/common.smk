@@ -214,6 +214,13 @@ def session_clouds(wildcards):
 # ---- stages
 
 
+def session_ingested(wildcards):
+    return [
+        f"results/{wildcards.session}/ingest/{name}.json"
+        for name in (CALIBRATION, *takes(wildcards))
+    ]
+
+
 def detections(wildcards):
     return [
         f"results/{wildcards.session}/calibrate/detections/{camera}.npz"

@@ -3,7 +3,8 @@ Probes the recordings of a take, or of the board, and refuses what cannot be use
 
 INPUTS:   files = one recording per camera
 OUTPUTS:  ingested = results/{session}/ingest/{recording}.json
-          checked  = results/{session}/ingest/session.json, that all takes agree with the board's recordings
+          checked  = results/{session}/ingest/session.check.json: all takes agree with the board's recordings
+          detections = results/{session}/calibrate/detections/{camera}.npz, the board in one camera's recording
 """
 
 
@@ -28,6 +29,24 @@ rule ingest:
         source=source("ingest"),
     script:
         "../pipeline/ingest.py"
+
+
+rule check_takes:
+    """All recordings of a session beside each other."""
+    input:
+        ingested=session_ingested,
+    output:
+        checked="results/{session}/ingest/session.check.json",
+    log:
+        "results/{session}/logs/ingest/check.log",
+    benchmark:
+        "results/{session}/benchmarks/ingest/check.tsv"
+    resources:
+        mem_mb=500,
+    params:
+        source=source("check_takes"),
+    script:
+        "../pipeline/check_takes.py"
 
 
 rule detect:

@@ -15,6 +15,7 @@ rule sync_board:
     """Start times of the board's recordings by sound, before the cameras' places are known."""
     input:
         ingested="results/{session}/ingest/calibration.json",
+        checked="results/{session}/ingest/session.check.json",
     output:
         offsets="results/{session}/sync/board/sound.json",
     log:
