@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from headcap.reconstruction.maps import DepthMap
 from headcap.reconstruction.patchmatch import JIT
 from headcap.reconstruction.points import PointCloud
+from headcap.reconstruction.rims import doubt_rims
 from headcap.reconstruction.settings import FusionSettings
 from headcap.reconstruction.visibility import BASE_ANGLE_DEG, MapStack, surface_beside
 
@@ -21,6 +22,8 @@ def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_
     Every known cell is carried along its normal to the weighted mean of the surfaces that the agreeing views saw there
     (weights: inverse variances along the normal); of the results, the surest are kept at a least distance from each other.
     """
+    if settings.rim_cells > 0:
+        maps = [doubt_rims(depth_map, settings.rim_cells) for depth_map in maps]
     stacked = MapStack(maps)
     tangents = math.tan(math.radians(BASE_ANGLE_DEG))
     parts = [
