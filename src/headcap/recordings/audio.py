@@ -6,7 +6,6 @@ from pathlib import Path
 import av
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import resample_poly
 
 from headcap.errors import InputError
 from headcap.recordings.packets import COPY_AGAIN, open_media
@@ -38,6 +37,9 @@ def read_audio(path: Path | str, rate_hz: int | None = 48000) -> tuple[NDArray[n
     if end_s is not None:  # the last block of a lossy codec is padded beyond the recording's end
         samples = samples[: max(round((end_s - start_s) * rate), 1)]
     if rate_hz is not None and rate_hz != rate:
+        # takes a second to import, and few recordings need it
+        from scipy.signal import resample_poly
+
         ratio = Fraction(rate_hz, rate)
         samples, rate = resample_poly(samples, ratio.numerator, ratio.denominator).astype(np.float32), rate_hz
     return samples, rate, start_s

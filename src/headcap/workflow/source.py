@@ -56,7 +56,7 @@ def _module_digest(module: str) -> str:
 
 def _imports(path: Path) -> set[str]:
     found: set[str] = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(_tree(path, path.stat().st_mtime_ns)):
         if isinstance(node, ast.Import):
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -72,8 +72,13 @@ def _with_parents(name: str) -> list[str]:
 
 
 @cache
+def _tree(path: Path, _modified_ns: int) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
 def _code_digest(path: Path, _modified_ns: int) -> str:
-    tree = ast.parse(path.read_text())
+    tree = _tree(path, _modified_ns)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = [statement for statement in node.body if not _is_docstring(statement)] or [ast.Pass()]
