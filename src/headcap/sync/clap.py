@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
 
 from headcap.sync.settings import SyncSettings
 
@@ -30,6 +29,9 @@ def clap_energy(samples: NDArray, rate_hz: int, settings: SyncSettings) -> NDArr
     if len(samples) == 0:
         return np.zeros(0)
     corner_hz = min(settings.highpass_hz, 0.25 * rate_hz)
+    # takes a second to import, which every job would pay that reads start times
+    from scipy.signal import butter, sosfilt
+
     filtered = sosfilt(butter(4, corner_hz, "highpass", fs=rate_hz, output="sos"), np.asarray(samples, np.float64))
     return filtered**2
 
