@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from headcap.artifacts import ArtifactError, save_arrays
 
 KIND, SCHEMA = "anchors", 1
+MARGIN = 2
+"""Neighbours on either side from which a frame's motion is known."""
 BLOCK = 64
 """Frames per array in the file, so that a chunk reads its own part only."""
 
@@ -47,7 +49,7 @@ class Anchors:
 
     @classmethod
     def load(cls, path: Path | str, first: int = 0, last: int | None = None) -> Anchors:
-        """Read frames `first` to `last` (inclusive, clipped to the take) without the rest; raises `ArtifactError`."""
+        """Read frames `first` to `last` (inclusive) and `MARGIN` neighbours on either side; raises `ArtifactError`."""
         with np.load(path, allow_pickle=False) as archive:
             header = json.loads(str(archive["__header__"])) if "__header__" in archive.files else {}
             if header.get("schema") != f"headcap.{KIND}/{SCHEMA}":
@@ -56,8 +58,8 @@ class Anchors:
                     f"{path} holds {found}, expected headcap.{KIND}/{SCHEMA}; run `track` again with this version"
                 )
             times, residuals, start = archive["time_s"], archive["residual_px"], header["meta"]["first"]
-            low = max(first - start, 0)
-            high = len(times) - 1 if last is None else min(last - start, len(times) - 1)
+            low = max(first - MARGIN - start, 0)
+            high = len(times) - 1 if last is None else min(last + MARGIN - start, len(times) - 1)
             blocks = [archive[f"positions/{b:06d}"] for b in range(low // BLOCK * BLOCK, high + 1, BLOCK)]
         positions = np.concatenate(blocks)[low % BLOCK :][: high - low + 1]
         return cls(start + low, times[low : high + 1], positions, residuals[low : high + 1], header["meta"]["start_s"])

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -132,8 +133,7 @@ class CoarseTracker:
         projection = project(camera, positions, reference.template.triangles, margin_px=16)
         rendered, known = shade(projection, reference.template.triangles, source)
         seen = photograph.image[projection.window.slices]
-        # around the known surface the photograph itself stands in, so that silhouettes are no false edges
-        rendered = np.where(known, rendered, seen)
+        rendered = _complete(rendered, known, projection.raster.hit, seen, settings.flow.window_px)
         flow = dense_flow(rendered, seen, settings.flow)
         contrast = normalise(rendered, known, window_px=settings.flow.window_px, floor=settings.flow.contrast_floor).image
         strength = texture_strength(contrast, settings.correspondence.texture_strength)
@@ -144,6 +144,21 @@ class CoarseTracker:
         triangles = self.reference.template.triangles
         visible = visible_vertices(view.projection, triangles, len(positions))
         return vertex_targets(view, positions, vertex_normals(positions, triangles), visible, self.settings.correspondence)
+
+
+def _complete(rendered: NDArray, known: NDArray, hit: NDArray, seen: NDArray, window_px: int) -> NDArray:
+    """Fill what the rendering does not know.
+
+    Around the surface the photograph itself stands in, so that silhouettes are no false edges. On the surface (between parted
+    lips) the known neighbours' mean stands in: there the photograph would vote for no motion.
+    """
+    size = (window_px, window_px)
+    share = cv2.boxFilter(known.astype(np.float32), -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    total = cv2.boxFilter(rendered * known, -1, size, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    near = hit & ~known & (share > 0)
+    out = np.where(known, rendered, seen)
+    out[near] = total[near] / share[near]
+    return out
 
 
 class SurfaceFlow:

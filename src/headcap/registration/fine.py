@@ -22,25 +22,31 @@ from headcap.registration.refine import Refiner, RefineSettings
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Motion about a frame from a parabola through it and its neighbours in the coarse pass."""
+    """Motion about a frame from the polynomial through its neighbours in the coarse pass.
 
-    velocity: NDArray[np.float64]
-    """(n, 3) m / s."""
-    acceleration: NDArray[np.float64]
-    """(n, 3) m / s^2."""
+    A brisk head shake is no parabola within three frames: with two neighbours on either side what is left at half a frame is a
+    fifth difference times 0.01, and noise of the coarse pass enters with weights below one.
+    """
 
-    @classmethod
-    def through(cls, times_s: NDArray, positions: NDArray) -> Trajectory:
-        """From three frames (3, n, 3); the frame is the middle one."""
-        before, after = times_s[1] - times_s[0], times_s[2] - times_s[1]
-        slope_before = (positions[1] - positions[0]) / before
-        slope_after = (positions[2] - positions[1]) / after
-        acceleration = 2 * (slope_after - slope_before) / (before + after)
-        return cls(slope_before + 0.5 * before * acceleration, acceleration)
+    time_s: NDArray[np.float64]
+    """(k,) frames, rising."""
+    positions: NDArray[np.float64]
+    """(k, n, 3) metres."""
+    index: int
+    """Which of them is the frame."""
 
     def offset(self, delay_s: float) -> NDArray[np.float64]:
         """Motion (n, 3) from the frame to a moment `delay_s` later."""
-        return delay_s * self.velocity + 0.5 * delay_s**2 * self.acceleration
+        weights = _lagrange(self.time_s, self.time_s[self.index] + delay_s)
+        weights[self.index] -= 1.0
+        return np.tensordot(weights, self.positions, axes=1)
+
+
+def _lagrange(nodes: NDArray, x: float) -> NDArray[np.float64]:
+    """Weights (k,) of values at distinct nodes (k,) that give the interpolating polynomial at x."""
+    apart = nodes[:, None] - nodes + np.eye(len(nodes))
+    factors = np.where(np.eye(len(nodes), dtype=bool), 1.0, (x - nodes) / apart)
+    return factors.prod(axis=1)
 
 
 class FineTracker:

@@ -41,7 +41,7 @@ class GraphSettings(BaseModel):
     steps: int = Field(3, description="Gauss-Newton steps per set of correspondences")
 
 
-SOLVER_TOLERANCE, SOLVER_STEPS = 1e-4, 40
+SOLVER_TOLERANCE, SOLVER_STEPS = 1e-3, 40
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class RefineSettings(BaseModel):
     bending_per_m: float = Field(3.0, description="Standard deviation of the change of curvature over a patch of 1 cm^2, 1 / m")
     stretch: float = Field(0.1, description="Standard deviation of the displacement's gradient over a patch of 1 cm^2")
     displacement_mm: float = Field(2.0, description="Standard deviation of the displacement itself over a patch of 1 cm^2")
-    solver_tolerance: float = Field(1e-4, description="Relative residual at which the conjugate gradient stops")
+    solver_tolerance: float = Field(1e-3, description="Relative residual at which the conjugate gradient stops")
     solver_iterations: int = Field(60, description="Most steps of the conjugate gradient")
 
 

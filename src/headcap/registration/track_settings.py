@@ -40,7 +40,7 @@ class TrackSettings(BaseModel):
     start_rounds: int = Field(
         4, description="Rounds of graph, then of refinement, that draw the template onto the first frame's points"
     )
-    texture_size_px: int = Field(2048, description="Side of the baked texture")
+    texture_size_px: int = Field(1024, description="Side of the baked texture")
     flow: FlowSettings = Field(default_factory=lambda: FlowSettings(window_px=11))
     correspondence: CorrespondenceSettings = Field(default_factory=CorrespondenceSettings)
     graph: GraphSettings = Field(default_factory=GraphSettings)

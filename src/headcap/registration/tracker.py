@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from headcap.cameras import Rig
 from headcap.errors import InputError
 from headcap.reconstruction.points import PointCloud
-from headcap.registration.anchors import Anchors
+from headcap.registration.anchors import MARGIN, Anchors
 from headcap.registration.coarse import CoarseState, CoarseTracker
 from headcap.registration.fine import FineTracker, Trajectory
 from headcap.registration.photographs import FrameSource, Photograph, resize, take_photographs
@@ -54,8 +54,8 @@ def track_anchors(
         residuals.append(figures["flow_residual_px"])
         if len(states) > 2:
             # with the frame after it known, a frame's motion is known on both sides
-            states, held = states[-3:], held[-3:]
-            positions.append(polisher.refine(states[1].positions, _through(states), *held[1])[0])
+            states, held = states[-MARGIN - 2 :], held[-2:]
+            positions.append(polisher.refine(states[-2].positions, _through(states), *held[0])[0])
     if len(times) > 1:
         positions.append(states[-1].positions)
     return Anchors(0, times, np.array(positions, np.float32), np.array(residuals), float(times[0]))
@@ -74,7 +74,7 @@ def track_chunk(
     """Refine frames `first` to `last` (inclusive) of a take at full resolution.
 
     Gives positions (last - first + 1, n, 3) float32 in metres and, per frame, the residuals left. `anchors` must hold these
-    frames and one more on either side where the take has them.
+    frames and their neighbours (`Anchors.load` sees to it).
     """
     reader = _Reader(rig, frames, anchors.time_s, settings)
     reference = scaled_reference(reader.reference(start, anchors.start_s), settings.fine_width_px)
@@ -91,15 +91,10 @@ def track_chunk(
 
 
 def trajectory(anchors: Anchors, number: int) -> Trajectory:
-    """Motion about a frame from its neighbours in the coarse trajectory; at a take's ends from the one neighbour there is."""
-    k, count = number - anchors.first, len(anchors)
-    if count == 1:
-        return Trajectory(np.zeros_like(anchors.positions[0], float), np.zeros_like(anchors.positions[0], float))
-    if 0 < k < count - 1:
-        return Trajectory.through(anchors.time_s[k - 1 : k + 2], anchors.positions[k - 1 : k + 2].astype(float))
-    a, b = (0, 1) if k == 0 else (count - 2, count - 1)
-    velocity = (anchors.positions[b].astype(float) - anchors.positions[a]) / (anchors.time_s[b] - anchors.time_s[a])
-    return Trajectory(velocity, np.zeros_like(velocity))
+    """Motion about a frame from up to two neighbours on either side in the coarse trajectory."""
+    k = number - anchors.first
+    around = slice(max(k - MARGIN, 0), k + MARGIN + 1)
+    return Trajectory(anchors.time_s[around], anchors.positions[around].astype(float), k - around.start)
 
 
 class _Reader:
@@ -131,4 +126,5 @@ class _Reader:
 
 
 def _through(states: list[CoarseState]) -> Trajectory:
-    return Trajectory.through(np.array([state.time_s for state in states]), np.array([state.positions for state in states]))
+    """About the last state but one."""
+    return Trajectory(np.array([state.time_s for state in states]), np.array([s.positions for s in states]), len(states) - 2)
