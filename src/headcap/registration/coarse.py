@@ -5,14 +5,15 @@ moved by the flow to the photograph: first nearly rigidly, then as softly as the
 what the graph cannot follow. The comparison is always with the fixed reference, so errors do not add up over time.
 
 Cameras do not fire together. Nothing is resampled in time: a camera's photograph is compared with the mesh where it is at that
-photograph's moment, X(t) + (photograph's time - t) * velocity + half acceleration * (..)^2. The coarse pass takes velocity and
-acceleration from the frames before and the running estimate; the fine pass interpolates the coarse trajectory on both sides.
+photograph's moment, X(t) + (photograph's time - t) * velocity. The coarse pass takes the velocity from the frames
+before and the running estimate, and how it changes from the views' own disagreement (`shutter`); the fine pass interpolates the
+coarse trajectory on both sides and corrects it in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -38,7 +39,11 @@ from headcap.registration.photometric import Normal, PhotometricSettings, ViewCo
 from headcap.registration.reference import Reference
 from headcap.registration.refine import Refiner
 from headcap.registration.render import project, shade, visible_vertices
+from headcap.registration.shutter import fit_motion, shifted
 from headcap.registration.track_settings import TrackSettings
+
+CAUTIOUS_BEND, BENDS = 0.25, (-0.5, 1.5)
+"""Bend of the motion before the views have told it, and its bounds: see `BackwardMotion`."""
 
 
 @dataclass(frozen=True)
@@ -81,51 +86,47 @@ class CoarseTracker:
         pose = before.pose
         if earlier is not None:
             pose = predict(before.pose, earlier.pose, (time_s - before.time_s) / (before.time_s - earlier.time_s))
+        displacement, bend, cloud_pairs = before.displacement, CAUTIOUS_BEND, None
         figures: dict[str, float] = {}
-        displacement, pairs = before.displacement, None
         for _ in range(self.settings.coarse_rounds):
             positions = self.graph.deform(pose) + displacement
-            motion = BackwardMotion.between(time_s, positions, before, earlier)
-            pose, pairs, figures = self._round(pose, before.pose, displacement, motion, photographs, cloud)
+            frame = _Frame(time_s, before, earlier, photographs, cloud)
+            pose, bend, cloud_pairs, figures = self._round(pose, displacement, bend, frame)
             step_mm = 1e3 * float(np.percentile(np.linalg.norm(self.graph.deform(pose) + displacement - positions, axis=1), 99))
             if step_mm < self.settings.coarse_settled_mm:
                 break
         for _ in range(self.settings.coarse_refinements):
             positions = self.graph.deform(pose) + displacement
-            motion = BackwardMotion.between(time_s, positions, before, earlier)
-            flow = SurfaceFlow(self.reference, positions, motion.offset, photographs, self.settings.coarse_photometric)
+            motion = BackwardMotion.between(time_s, positions, before, earlier, bend)
+            flow = SurfaceFlow(self.reference, positions, motion, photographs, self.settings.coarse_photometric)
             normal = flow.normal(positions)
-            if pairs is not None:
+            if cloud_pairs is not None:
                 triangles = self.reference.template.triangles
-                normal = normal + pairs_normal(pairs, positions, triangles, self.settings.correspondence, slide=True)
+                normal = normal + pairs_normal(cloud_pairs, positions, triangles, self.settings.correspondence, slide=True)
             displacement = displacement + self.refiner.solve(normal, displacement)
         return CoarseState(time_s, pose, displacement, self.graph.deform(pose) + displacement), figures
 
-    def _round(
-        self,
-        pose: Pose,
-        before: Pose,
-        displacement: NDArray,
-        motion: BackwardMotion,
-        photographs: list[Photograph],
-        cloud: PointCloud | None,
-    ):
+    def _round(self, pose: Pose, displacement: NDArray, bend: float, frame: _Frame):
         settings, triangles = self.settings, self.reference.template.triangles
         positions = self.graph.deform(pose) + displacement
-        offsets = [motion.offset(photograph.delay_s) for photograph in photographs]
-        views = [self._flow(positions + o, p) for p, o in zip(photographs, offsets, strict=True)]
+        delays = [photograph.delay_s for photograph in frame.photographs]
+        offsets = frame.motion(positions, bend).offsets(delays)
+        views = [self._flow(positions + o, p) for p, o in zip(frame.photographs, offsets, strict=True)]
         targets = [self._targets(view, positions + o) for view, o in zip(views, offsets, strict=True)]
-        pairs = None if cloud is None else point_pairs(cloud, views, offsets, positions, triangles, settings.correspondence)
+        pairs = None
+        if frame.cloud is not None:
+            pairs = point_pairs(frame.cloud, views, offsets, positions, triangles, settings.correspondence)
         # far from the targets their scatter is motion still to be found, not error: the robust scale shrinks step by step
         spread = residual_spread_px(targets, [positions + offset for offset in offsets])
         for step in range(settings.graph.steps):
             surface = self.graph.deform(pose)
             positions = surface + displacement
-            normal = _sum_targets(targets, offsets, positions, max(settings.flow_robust_px, 3 * spread * 0.3**step))
+            robust_px = max(settings.flow_robust_px, 3 * spread * 0.3**step)
+            normal, bend = _sum_targets(targets, positions, frame.motion(positions, bend), delays, robust_px)
             if pairs is not None:
                 normal = normal + pairs_normal(pairs, positions, triangles, settings.correspondence)
-            pose = self.solver.step(pose, normal, surface, before)
-        return pose, pairs, {"flow_residual_px": normal.residual}
+            pose = self.solver.step(pose, normal, surface, frame.before.pose)
+        return pose, bend, pairs, {"flow_residual_px": normal.residual}
 
     def _flow(self, positions: NDArray, photograph: Photograph) -> ViewFlow:
         settings, reference = self.settings, self.reference
@@ -162,19 +163,21 @@ def _complete(rendered: NDArray, known: NDArray, hit: NDArray, seen: NDArray, wi
 
 
 class SurfaceFlow:
-    """All views' photographs beside the rendering of a mesh (n, 3); `offset(delay_s)` is its motion (n, 3) within the frame."""
+    """All views' photographs beside the rendering of a mesh (n, 3), each at its own moment by `motion`."""
 
     def __init__(
         self,
         reference: Reference,
         positions: NDArray,
-        offset: Callable[[float], NDArray],
+        motion: Motion,
         photographs: list[Photograph],
         settings: PhotometricSettings,
     ) -> None:
         triangles = reference.template.triangles
         normals = vertex_normals(positions, triangles)
-        self.offsets = [offset(photograph.delay_s) for photograph in photographs]
+        delays = [photograph.delay_s for photograph in photographs]
+        self.offsets = motion.offsets(delays)
+        self._fields = [motion.fields(delay_s) for delay_s in delays]
         self.views = [
             ViewComparison(
                 reference.cameras[p.camera], reference.sources[p.camera], positions + moved, normals, triangles, p.image, settings
@@ -183,11 +186,22 @@ class SurfaceFlow:
         ]
 
     def normal(self, positions: NDArray) -> Normal:
-        """What all photographs say about the mesh (n, 3) where it is now."""
-        total = Normal.zero(len(positions))
-        for view, offset in zip(self.views, self.offsets, strict=True):
-            total = total + view.normal(positions + offset)
-        return total
+        """What all photographs say about the mesh (n, 3) where it is now; the motion within the frame is corrected on the way."""
+        parts = [view.normal(positions + offset) for view, offset in zip(self.views, self.offsets, strict=True)]
+        weights = np.clip(fit_motion(parts, self._fields), -1.0, 1.0)
+        moved = [np.tensordot(weights, field, axes=1) for field in self._fields]
+        self.offsets = [offset + move for offset, move in zip(self.offsets, moved, strict=True)]
+        return total([shifted(part, move) for part, move in zip(parts, moved, strict=True)])
+
+
+class Motion(Protocol):
+    """Where a mesh goes within a frame."""
+
+    def offsets(self, delays_s: list[float]) -> list[NDArray[np.float64]]:
+        """Motion (n, 3) from the frame to each of the moments `delays_s` later."""
+
+    def fields(self, delay_s: float) -> NDArray[np.float64]:
+        """(k, n, 3) what one unit of each of its corrections moves at that moment."""
 
 
 @dataclass(frozen=True)
@@ -195,29 +209,64 @@ class BackwardMotion:
     """Motion about a frame from the frames before it."""
 
     velocity: NDArray[np.float64]
-    """(n, 3) m / s at the frame."""
+    """(n, 3) m / s over the last interval."""
+    change: NDArray[np.float64]
+    """(n, 3) m / s: the last interval's velocity minus the one's before."""
+    bend: float
+    """How much of the change to add at the frame: 0.5 on a parabola, less where motion stops, told by the views themselves."""
 
     @classmethod
-    def between(cls, time_s: float, positions: NDArray, before: CoarseState, earlier: CoarseState | None) -> BackwardMotion:
-        """The last interval's velocity and half of what a parabola through three frames would add: stops overshoot less."""
+    def between(
+        cls, time_s: float, positions: NDArray, before: CoarseState, earlier: CoarseState | None, bend: float
+    ) -> BackwardMotion:
+        """From up to three frames."""
         last = (positions - before.positions) / (time_s - before.time_s)
         if earlier is None:
-            return cls(last)
+            return cls(last, np.zeros_like(last), bend)
         previous = (before.positions - earlier.positions) / (before.time_s - earlier.time_s)
-        return cls(last + 0.25 * (last - previous))
+        return cls(last, last - previous, bend)
 
-    def offset(self, delay_s: float) -> NDArray[np.float64]:
-        """Motion (n, 3) from the frame to a moment `delay_s` later."""
-        return delay_s * self.velocity
+    def offsets(self, delays_s: list[float]) -> list[NDArray[np.float64]]:
+        """Motion (n, 3) from the frame to each of the moments `delays_s` later."""
+        return [delay_s * (self.velocity + self.bend * self.change) for delay_s in delays_s]
+
+    def fields(self, delay_s: float) -> NDArray[np.float64]:
+        """(1, n, 3) what one unit more of bend moves at that moment."""
+        return delay_s * self.change[None]
 
 
-def _sum_targets(targets: list[VertexTargets], offsets: list[NDArray], positions: NDArray, robust_px: float) -> Normal:
-    total, residuals = Normal.zero(len(positions)), []
-    for target, offset in zip(targets, offsets, strict=True):
-        part = targets_normal(target, positions + offset, robust_px)
-        residuals.append(part.residual)
-        total = total + part
-    return Normal(total.blocks, total.right, float(np.median(residuals)))
+@dataclass(frozen=True)
+class _Frame:
+    """What one frame is tracked from."""
+
+    time_s: float
+    before: CoarseState
+    earlier: CoarseState | None
+    photographs: list[Photograph]
+    cloud: PointCloud | None
+
+    def motion(self, positions: NDArray, bend: float) -> BackwardMotion:
+        """Motion about the frame with the mesh (n, 3) there."""
+        return BackwardMotion.between(self.time_s, positions, self.before, self.earlier, bend)
+
+
+def _sum_targets(
+    targets: list[VertexTargets], positions: NDArray, motion: BackwardMotion, delays_s: list[float], robust_px: float
+):
+    """Normal equations of all views' targets, and the bend of the motion that they agree on."""
+    offsets, fields = motion.offsets(delays_s), [motion.fields(delay_s) for delay_s in delays_s]
+    parts = [targets_normal(target, positions + o, robust_px) for target, o in zip(targets, offsets, strict=True)]
+    bend = float(np.clip(motion.bend + fit_motion(parts, fields)[0], *BENDS))
+    moved = [(bend - motion.bend) * field[0] for field in fields]
+    return total([shifted(part, move) for part, move in zip(parts, moved, strict=True)]), bend
+
+
+def total(parts: list[Normal]) -> Normal:
+    """Sum of the views' normal equations; its residual is their median."""
+    whole = Normal.zero(len(parts[0].right))
+    for part in parts:
+        whole = whole + part
+    return Normal(whole.blocks, whole.right, float(np.median([part.residual for part in parts])))
 
 
 def _lips(template) -> NDArray[np.bool_] | None:

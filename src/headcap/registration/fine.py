@@ -35,8 +35,19 @@ class Trajectory:
     index: int
     """Which of them is the frame."""
 
-    def offset(self, delay_s: float) -> NDArray[np.float64]:
-        """Motion (n, 3) from the frame to a moment `delay_s` later."""
+    def offsets(self, delays_s: list[float]) -> list[NDArray[np.float64]]:
+        """Motion (n, 3) from the frame to each of the moments `delays_s` later."""
+        return [self._offset(delay_s) for delay_s in delays_s]
+
+    def fields(self, delay_s: float) -> NDArray[np.float64]:
+        """(3, n, 3) corrections: more velocity, velocity along the acceleration, more acceleration."""
+        step_s = float(np.median(np.diff(self.time_s))) if len(self.time_s) > 1 else 1.0
+        ahead, behind = self._offset(0.5 * step_s), self._offset(-0.5 * step_s)
+        velocity, acceleration = ahead - behind, 4 * (ahead + behind)
+        share = delay_s / step_s
+        return np.stack([share * velocity, share * acceleration, share**2 * acceleration])
+
+    def _offset(self, delay_s: float) -> NDArray[np.float64]:
         weights = _lagrange(self.time_s, self.time_s[self.index] + delay_s)
         weights[self.index] -= 1.0
         return np.tensordot(weights, self.positions, axes=1)
@@ -69,7 +80,7 @@ class FineTracker:
         self, coarse: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud | None
     ) -> tuple[NDArray[np.float64], dict[str, float]]:
         """Positions (n, 3) of one frame from its coarse ones, and the residuals left."""
-        flow = SurfaceFlow(self.reference, coarse, trajectory.offset, photographs, self.photometric)
+        flow = SurfaceFlow(self.reference, coarse, trajectory, photographs, self.photometric)
         pairs = None if cloud is None else self._pairs(flow, coarse, cloud)
         # each step is regularised by itself: an error of the coarse pass is no shape to hold on to
         displacement, still = np.zeros_like(coarse), np.zeros_like(coarse)

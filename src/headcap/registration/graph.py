@@ -126,7 +126,7 @@ class GraphSolver:
     def energy(self, pose: Pose, normal: Normal, at: NDArray, before: Pose | None = None) -> float:
         """Data quadratic around vertices `at` (n, 3), plus rigidity and smoothness."""
         step = self.graph.deform(pose) - at
-        image = _apply_blocks(normal.blocks, step)
+        image = normal.apply(step)
         data = 0.5 * float(np.vdot(step, image)) - float(np.vdot(step, normal.right))
         strain, stretch = _rigidity(pose.affine)[0], _smoothness(self.graph, pose) - self._disagreement_target(before)
         wr, ws = self._rigidity, self._smoothness
@@ -174,7 +174,7 @@ class GraphSolver:
         graph, pattern = self.graph, self.pattern
         current = graph.deform(pose)
         # data are linear in the vertices: move their right-hand side to where the nodes are now
-        right_vertices = normal.right - _apply_blocks(normal.blocks, current - at)
+        right_vertices = normal.right - normal.apply(current - at)
         k = len(graph.nodes)
         matrix, right = np.zeros((len(pattern.rows), 12, 12)), np.zeros((k, 12))
         centres = graph.vertices[graph.nodes]
@@ -267,12 +267,6 @@ def _pattern(graph: Graph) -> _Pattern:
 def _to_sparse(matrix: NDArray, pattern: _Pattern, k: int) -> sparse.bsr_array:
     starts = np.searchsorted(pattern.rows, np.arange(k + 1))
     return sparse.bsr_array((matrix, pattern.columns, starts), shape=(12 * k, 12 * k))
-
-
-def _apply_blocks(blocks: NDArray, vectors: NDArray) -> NDArray:
-    xx, xy, xz, yy, yz, zz = blocks.T
-    x, y, z = vectors.T
-    return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=1)
 
 
 _PAIRS = ((0, 1), (0, 2), (1, 2))

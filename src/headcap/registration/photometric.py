@@ -53,6 +53,12 @@ class Normal:
         """No data."""
         return cls(np.zeros((n_vertices, 6)), np.zeros((n_vertices, 3)), 0.0)
 
+    def apply(self, vectors: NDArray) -> NDArray[np.float64]:
+        """The block-diagonal matrix times vectors (n, 3)."""
+        xx, xy, xz, yy, yz, zz = self.blocks.T
+        x, y, z = vectors.T
+        return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=1)
+
     def __add__(self, other: Normal) -> Normal:
         return Normal(self.blocks + other.blocks, self.right + other.right, max(self.residual, other.residual))
 
