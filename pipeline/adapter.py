@@ -27,7 +27,6 @@ def run_rule(run: Callable[..., None], snakemake) -> None:
     """Call `run` for one job; on failure log the traceback, print one message and exit with status 1."""
     _die_with_parent()
     _start_log(Path(snakemake.log[0]))
-    _remove_leftovers([Path(output) for output in snakemake.output])
     started = time.monotonic()
     try:
         run(**arguments(run, snakemake))
@@ -78,13 +77,6 @@ def _start_log(path: Path) -> None:
     progress.setFormatter(logging.Formatter("headcap: %(message)s"))
     progress.addFilter(logging.Filter("headcap.progress"))
     logger.addHandler(progress)
-
-
-def _remove_leftovers(outputs: list[Path]) -> None:
-    # what a killed job of the same outputs was writing: `artifacts.atomic_path` names it after the file and the process
-    for output in outputs:
-        for leftover in output.parent.glob(f".{output.name.split('.')[0]}*.tmp*"):
-            leftover.unlink(missing_ok=True)
 
 
 def _fail(snakemake, message: str) -> typing.NoReturn:

@@ -277,7 +277,7 @@ def evaluate_setting(wildcards):
     """Sampling of the evaluation, with the session's own limits of figures."""
     session = session_of(wildcards)
     settings = session.evaluate.model_dump(mode="json", exclude={"truth"})
-    return settings | {"limits": settings["limits"] | session.limits}
+    return settings | {"limits": settings["limits"] | session.figure_limits()}
 
 
 def described_session(wildcards):

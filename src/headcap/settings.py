@@ -16,7 +16,8 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from headcap.calibration.board import BoardSettings
-from headcap.calibration.settings import CalibrateSettings
+from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
+from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
@@ -159,6 +160,10 @@ class Session(_Settings):
         """Limits of a stage's gates by figure: the general ones and the session's."""
         return {figure: limit for figure, limit in (GATES | self.limits).items() if figure.startswith(f"{stage}.")}
 
+    def figure_limits(self) -> dict[str, float]:
+        """The session's limits of figures that `evaluate` lists."""
+        return {figure: limit for figure, limit in self.limits.items() if figure in CATALOGUE}
+
     @property
     def root(self) -> Path:
         """The data root as a path."""
@@ -223,6 +228,11 @@ def session_files(session: Session) -> Iterator[tuple[str, str]]:
         yield "evaluate.truth", session.path(session.evaluate.truth)
 
 
+def known_figures() -> set[str]:
+    """Figures that a limit can be set for or waived."""
+    return {*CATALOGUE, *GATES, "calibrate.bump_residual_px", *(f"calibrate.{name}" for name in CalibrateLimits.model_fields)}
+
+
 def disagreements(session: Session) -> list[str]:
     """Names that are given twice, and cameras that a take names but the session does not."""
     cameras = [camera.name for camera in session.cameras]
@@ -232,6 +242,8 @@ def disagreements(session: Session) -> list[str]:
         for kind, names in (("cameras", cameras), ("takes", takes))
         for name in sorted({name for name in names if names.count(name) > 1})
     ]
+    unknown = sorted({*session.limits, *session.allow} - known_figures())
+    told += [f"limits, allow: no figure is called {name}" for name in unknown]
     for key, where in ((CALIBRATION, session.calibration), *((f"takes.{take.name}", take) for take in session.takes)):
         files = where.files if isinstance(where.files, dict) else {}
         told += [

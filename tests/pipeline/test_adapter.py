@@ -72,13 +72,3 @@ def test_failure_is_one_message_and_a_traceback_in_the_log(tmp_path: Path, capsy
     told = capsys.readouterr().err
     assert "error in stage (demo, pose_01): the level is 9; expected at most 5. Lower it." in told
     assert "Traceback" in (tmp_path / "logs" / "stage.log").read_text()
-
-
-def test_what_a_killed_job_left_is_removed(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    mine, other = tmp_path / "out" / ".result.4711.tmp.json", tmp_path / "out" / ".another.4711.tmp.json"
-    mine.touch()
-    other.touch()
-    adapter.run_rule(stage, job(tmp_path, frames=None, settings={}))
-    assert not mine.exists()
-    assert other.exists()

@@ -1,5 +1,6 @@
 """Atomic writes and strict loads of npz and JSON files that carry their kind and schema version inside."""
 
+import glob
 import io
 import json
 import os
@@ -21,9 +22,14 @@ class ArtifactError(ValueError):
 
 @contextmanager
 def atomic_path(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary path in the same folder; on success fsync it and rename it over `path`."""
+    """Yield a temporary path in the same folder; on success fsync it and rename it over `path`.
+
+    What a killed writer of the same file left behind is removed first.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    for leftover in path.parent.glob(f".{glob.escape(path.stem)}.*.tmp{path.suffix}"):
+        leftover.unlink(missing_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
     try:
         yield temporary

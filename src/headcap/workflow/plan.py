@@ -209,7 +209,7 @@ def _missing_files(session: Session) -> list[InputError]:
 
 
 def _disagreement(told: str) -> InputError:
-    return InputError(told, expected="each camera and take named once, and the same in every place", remedy="Correct the name.")
+    return InputError(told, expected="each camera and take named once, and names that exist", remedy="Correct the name.")
 
 
 def _named_twice(name: str) -> InputError:

@@ -72,3 +72,12 @@ def test_manifest_names_its_inputs_by_digest(tmp_path):
     )
     assert Manifest.load(manifest_path(tmp_path / "out.bin")) == written
     assert written.inputs == {"in.bin": digest_file(tmp_path / "in.bin")}
+
+
+def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path):
+    left, other = tmp_path / ".frame_000001.4711.tmp.ply", tmp_path / ".frame_000010.4711.tmp.ply"
+    left.touch()
+    other.touch()
+    with atomic_path(tmp_path / "frame_000001.ply") as temporary:
+        temporary.write_text("whole")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [other.name, "frame_000001.ply"]

@@ -90,6 +90,14 @@ def test_names_are_given_once(session: dict) -> None:
     assert "left is named twice" in told(session)
 
 
+def test_limits_and_waivers_name_figures_that_exist(session: dict) -> None:
+    session["limits"], session["allow"] = {"calibrate.poses": 3, "reconstruct.point": 5}, ["calibrate.covrage"]
+    message = told(session)
+    assert "no figure is called reconstruct.point" in message
+    assert "no figure is called calibrate.covrage" in message
+    assert "calibrate.poses" not in message
+
+
 def test_files_may_be_given_camera_by_camera(session: dict) -> None:
     session["takes"][0]["files"] = {camera: f"pose_01/{camera}.mp4" for camera in CAMERAS}
     assert load_plan(session).sessions["test"].recordings("pose_01")["left"].endswith("pose_01/left.mp4")
