@@ -17,18 +17,18 @@ SESSION = {
     "rehearse": {
         "seed": 3,
         "arc": {"cameras": 5, "half_angle_deg": 36, "rows_deg": [-12.0, 10.0]},
-        "video": {"width": 216, "height": 384, "rate_hz": 30},
+        "video": {"width": 216, "height": 384, "rate_hz": 15},
         "board": {"duration_s": 5.0, "hold_s": 0.2, "move_s": 0.1, "spread_m": [0.03, 0.03, 0.03], "tilt_deg": 24},
         "scan": {"triangles": 40000},
         "takes": [{"name": "free_01", "kind": "free", "duration_s": 0.46}],
     },
-    "frames_per_job": {"reconstruct": 4, "track": 4},
+    "frames_per_job": {"reconstruct": 3, "track": 3},
     # five small cameras and a short board recording: what counts here is that all stages go together
     "limits": {"calibrate.poses": 3, "calibrate.coverage": 0.05, "calibrate.heldout_rms_px": 2, "calibrate.heldout_p95_px": 5},
 }
-CLOUDS = "results/tiny/reconstruct/free_01/chunk_002.json"
+CLOUDS = "results/tiny/reconstruct/free_01/chunk_001.json"
 MESHES = "results/tiny/track/free_01/chunk_001.npy"
-TEMPLATE = "results/tiny/register/template.npz"
+SEQUENCE = "results/tiny/track/free_01/sequence.json"
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +81,8 @@ def test_a_second_run_has_nothing_to_do(finished: Path, workflow_in) -> None:
 
 @pytest.mark.parametrize(
     ("result", "written", "victim"),
-    [(CLOUDS, "frame_000009.ply", "stage"), (MESHES, "chunk_001.npy", "snakemake"), (TEMPLATE, "template.npz", "group")],
-    ids=["reconstruct", "track", "register"],
+    [(CLOUDS, "frame_000004.ply", "stage"), (MESHES, "chunk_001.npy", "snakemake"), (SEQUENCE, "sequence.json", "group")],
+    ids=["reconstruct", "track", "collect"],
 )
 def test_a_stage_killed_while_it_writes_is_repaired(
     finished: Path, tmp_path: Path, workflow_in, result: str, written: str, victim: str
