@@ -109,9 +109,9 @@ class BoardSettings(_Settings):
     marker_size_mm: float = Field(default=18.0, gt=0, description="Side of a marker.")
     margin_mm: float = Field(default=8.0, ge=0, description="White border.")
     inverted: bool = Field(default=False, description="Print black as white and white as black.")
-    duration_s: float = Field(default=5.0, gt=0.3, description="Length of the recording.")
-    hold_s: float = Field(default=0.1, gt=0, description="Time the board rests in each pose.")
-    move_s: float = Field(default=0.1, gt=0, description="Time between two poses.")
+    duration_s: float = Field(default=8.0, gt=0.3, description="Length of the recording.")
+    hold_s: float = Field(default=0.2, gt=0, description="Time the board rests in each pose.")
+    move_s: float = Field(default=0.12, gt=0, description="Time between two poses.")
     spread_m: Vector = Field(default=(0.06, 0.07, 0.06), description="Poses lie within this of the target, each axis.")
     tilt_deg: float = Field(default=32.0, ge=0, lt=80, description="Tilt out of the direction the board is shown to.")
 
