@@ -19,7 +19,7 @@ def test_point_cloud(tmp_path):
         normals=random.normal(size=(7, 3)).astype(np.float32),
         confidence=random.uniform(size=7).astype(np.float32),
         colours=random.integers(0, 255, (7, 3), dtype=np.uint8),
-        time_s=0.1234567890123,
+        time_s=np.float64(0.1234567890123),
     )
     cloud.save(tmp_path / "a.ply")
     again = PointCloud.load(tmp_path / "a.ply")

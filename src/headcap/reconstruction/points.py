@@ -48,7 +48,7 @@ class PointCloud:
             "ply",
             "format binary_little_endian 1.0",
             f"comment {SCHEMA}",
-            f"comment time_s {self.time_s!r}",
+            f"comment time_s {float(self.time_s)!r}",
             f"element vertex {len(self)}",
             *properties,
             "end_header\n",
