@@ -27,7 +27,7 @@ SETTINGS = RehearsalSettings(
     seed=7,
     arc=ArcSettings(cameras=3),
     video=VideoSettings(width=108, height=192, rate_hz=30),
-    board=BoardSettings(duration_s=0.4),
+    board=BoardSettings(duration_s=0.4, hold_s=0.1, move_s=0.1),
     takes=(TakeSettings(name="free_01", kind="free", duration_s=0.6),),
     clock=ClockSettings(drift_ppm_sigma=30, dropped_frames=(DroppedFrames(camera="cam01", frames=(5, 6, 11)),)),
     scan=ScanSettings(triangles=20_000),
@@ -146,7 +146,7 @@ def test_a_rolling_shutter_reads_rows_later(tmp_path):
     still = settings.model_copy(update={"sensor": SensorSettings()})
     rolled = _read(tmp_path / "a" / rehearse_recording(settings, CALIBRATION, "cam01", tmp_path / "a"))[1].astype(float)
     whole = _read(tmp_path / "b" / rehearse_recording(still, CALIBRATION, "cam01", tmp_path / "b"))[1].astype(float)
-    # the board rests until 0.1 s: frames 0 and 1 agree (their noise is the same); in frame 3, halfway through the move, the
+    # the board rests until 0.1 s: frame 0 agrees (its noise is the same); in frame 4, halfway through the move, the
     # lower rows are ahead of the global shutter's
     difference = np.abs(rolled - whole).mean((1, 2, 3))
     assert difference[0] < 0.5
