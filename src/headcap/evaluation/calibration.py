@@ -80,6 +80,7 @@ def align_worlds(rig: Rig, true_rig: Rig, start: NDArray) -> NDArray[np.float64]
         return start
 
     def residuals(correction: NDArray) -> NDArray[np.float64]:
+        """Pixels by which the pictures of the grid differ once the alignment is corrected by a twist (6,)."""
         world_from_truth = invert(from_vector(correction) @ start)
         return np.concatenate([(c.project(transform(world_from_truth, x))[0] - pixels).ravel() for c, pixels, x in pairs])
 

@@ -1,5 +1,6 @@
 """The figures by name: unit, default limit, which side of it is good, and what the figure means."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -14,38 +15,82 @@ class FigureKind:
     at_least: bool = False
     """True where more is better."""
     needs_truth: bool = True
+    by_pixel: bool = False
+    """A length measured in photographs: its limit grows with the pixel on the skin, see `limit_factor`."""
 
 
-def _stated(unit: str, meaning: str, limit: float | None = None) -> FigureKind:
-    return FigureKind(unit, meaning, limit, needs_truth=False)
+REFERENCE_PIXEL_MM = 0.46
+"""Size of a pixel on the skin (`rig.pixel_mm`) up to which the default limits of lengths hold as they stand."""
+
+
+def limit_factor(pixel_mm: float | None) -> float:
+    """By what the default limits of lengths measured in photographs are multiplied: max(1, pixel / reference pixel).
+
+    Errors in pixels do not depend on the resolution, so lengths grow with the pixel. A finer pixel than the reference
+    tightens nothing: below it the optics and the skin decide. 1 where the pixel's size is not known.
+    """
+    if pixel_mm is None or not math.isfinite(pixel_mm):
+        return 1.0
+    return max(1.0, pixel_mm / REFERENCE_PIXEL_MM)
+
+
+def _stated(unit: str, meaning: str, limit: float | None = None, **more: bool) -> FigureKind:
+    return FigureKind(unit, meaning, limit, needs_truth=False, **more)
+
+
+def _length(meaning: str, limit: float | None = None, **more: bool) -> FigureKind:
+    return FigureKind("mm", meaning, limit, by_pixel=True, **more)
 
 
 _MATERIAL = "tied at the reference frame to the true surface; later the distance to where that material point has gone"
 
 CATALOGUE: dict[str, FigureKind] = {
+    "rig.pixel_mm": _stated("mm", "edge of a pixel on the face, median over cameras"),
     "sync.offset_error_ms": FigureKind("ms", "start times against the true ones, common mean taken out, rms", 0.1),
-    "sync.residual_ms": _stated("ms", "disagreement of the pairwise delays with the solved start times, rms"),
+    "sync.confidence_min": _stated(
+        "", "share of the other cameras that agree with a camera about the clap, least", at_least=True
+    ),
+    "sync.pair_residual_median_ms": _stated("ms", "disagreement of the pairwise delays with the solved start times, median"),
+    "sync.pair_residual_p95_ms": _stated(
+        "ms", "disagreement of the pairwise delays with the solved start times, 95th percentile"
+    ),
+    "sync.flight_spread_ms": _stated("ms", "time of flight of the clap that was taken off, largest minus smallest"),
+    "sync.drift_max_ppm": _stated("ppm", "drift of a camera's clock, largest; measured where there are two claps"),
     "calibrate.heldout_rms_px": _stated("px", "board corners in poses left out of the adjustment, rms", 0.15),
     "calibrate.heldout_p95_px": _stated("px", "board corners in poses left out of the adjustment, 95th percentile"),
     "calibrate.board_scale_error_mm": _stated("mm", "distances between triangulated held-out corners against the board, rms"),
-    "calibrate.centre_error_mm": FigureKind("mm", "camera centres after one rigid alignment, rms", 0.3),
+    "calibrate.coverage": _stated(
+        "", "share of the image's cells in which the board was seen, of the worst camera", at_least=True
+    ),
+    "calibrate.poses": _stated("", "poses of the board in the adjustment, of the worst camera", at_least=True),
+    "calibrate.bump_residual_px": _stated("px", "the take's pictures against the rig of the board's recording, worst camera"),
+    "calibrate.centre_error_mm": _length("camera centres after one rigid alignment, rms", 0.3),
     "calibrate.rotation_error_deg": FigureKind("deg", "camera rotations after the same alignment, rms", 0.03),
-    "reconstruct.error_median_mm": FigureKind("mm", "points to the true surface at that time, median", 0.09),
-    "reconstruct.error_p90_mm": FigureKind("mm", "points to the true surface at that time, 90th percentile", 0.3),
+    "reconstruct.error_median_mm": _length("points to the true surface at that time, median", 0.09),
+    "reconstruct.error_p90_mm": _length("points to the true surface at that time, 90th percentile", 0.3),
     "reconstruct.completeness_half_mm": FigureKind("%", "true surface seen by 3 cameras with a point within 0.5 mm", 75.0, True),
     "reconstruct.completeness_1mm": FigureKind("%", "true surface seen by 3 cameras with a point within 1 mm", 94.0, True),
-    "reconstruct.points": FigureKind("", "points per frame, median", at_least=True, needs_truth=False),
+    "reconstruct.points": _stated("", "points per frame, median", at_least=True),
     "register.error_median_mm": _stated("mm", "template vertices to the scan's surface, median", 0.15),
     "register.error_p95_mm": _stated("mm", "template vertices to the scan's surface, 95th percentile", 0.6),
     "register.flipped_triangles": _stated("", "triangles of the template turned by more than 90 degrees against all around them"),
-    "track.surface_error_median_mm": FigureKind("mm", "seen template vertices to the true surface, all frames, median", 0.12),
-    "track.surface_error_p95_mm": FigureKind("mm", "seen template vertices to the true surface, 95th percentile", 0.5),
-    "track.drift_median_mm": FigureKind("mm", f"seen template vertices {_MATERIAL}, median", 0.15),
-    "track.drift_p95_mm": FigureKind("mm", f"seen template vertices {_MATERIAL}, 95th percentile", 0.8),
-    "track.drift_all_median_mm": FigureKind("mm", f"all template vertices, seen or not, {_MATERIAL}, median"),
-    "track.drift_all_p95_mm": FigureKind("mm", f"all template vertices, seen or not, {_MATERIAL}, 95th percentile"),
-    "track.lip_gap_error_mm": FigureKind("mm", "distance between upper and lower inner-lip material points, rms error", 0.5),
-    "track.cloud_distance_median_mm": _stated("mm", "reconstructed points to the tracked mesh, median"),
+    "register.coverage_pct": _stated("%", "vertices that have a counterpart on the scan", at_least=True),
+    "register.align_score_mm": _stated("mm", "the generic head on the scan before it was bent"),
+    "register.scale": _stated("", "size of the scan beside the generic head"),
+    "register.lip_line_strength": _stated("", "how clearly the scan shows the line between the lips; 0: it does not"),
+    "place.error_median_mm": _stated("mm", "first cloud to the template placed on it, kept points, median"),
+    "place.error_p90_mm": _stated("mm", "first cloud to the template placed on it, kept points, 90th percentile"),
+    "place.within_2mm_pct": _stated("%", "points of the first cloud within 2 mm of the template placed on it", at_least=True),
+    "track.surface_error_median_mm": _length("seen template vertices to the true surface, all frames, median", 0.12),
+    "track.surface_error_p95_mm": _length("seen template vertices to the true surface, 95th percentile", 0.5),
+    "track.drift_median_mm": _length(f"seen template vertices {_MATERIAL}, median", 0.15),
+    "track.drift_p95_mm": _length(f"seen template vertices {_MATERIAL}, 95th percentile", 0.8),
+    "track.drift_all_median_mm": _length(f"all template vertices, seen or not, {_MATERIAL}, median"),
+    "track.drift_all_p95_mm": _length(f"all template vertices, seen or not, {_MATERIAL}, 95th percentile"),
+    "track.lip_gap_error_mm": _length("distance between upper and lower inner-lip material points, rms error", 0.5),
+    "track.cloud_distance_median_mm": _length("reconstructed points to the tracked mesh, median", needs_truth=False),
+    "track.surface_flow_residual": _stated("", "what photographs and textured mesh still differ by, worst frame"),
+    "track.last_step_mm": _stated("mm", "rms step of the vertices in the last refinement, worst frame"),
     "track.flipped_triangles": _stated("", "triangles turned by more than 90 degrees against all around them, worst frame"),
 }
 

@@ -14,6 +14,7 @@ from headcap.cameras import Rig
 from headcap.evaluation.calibration import RigErrors, compare_rigs
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.metrics import Figure, make_figure
+from headcap.evaluation.pixel import pixel_on_skin_mm
 from headcap.evaluation.reconstruction import CloudErrors, compare_cloud, summarise_clouds
 from headcap.evaluation.registration import compare_registration, count_flipped
 from headcap.evaluation.settings import EvaluateSettings
@@ -52,6 +53,10 @@ class SessionFolder:
             return found
         frames = set(TakeTimeline.load(timeline).frames.tolist())
         return [path for path in found if int(path.stem.removeprefix("frame_")) in frames]
+
+    def start(self, take: str) -> Path:
+        """The template on the take's first frame."""
+        return self.folder / "track" / take / "start.npz"
 
     def sequence(self, take: str) -> Path:
         """The tracked take."""
@@ -157,9 +162,13 @@ def evaluate_session(
 ) -> list[Figure]:
     """Every figure of a session: those its stages stated in their manifests, and those against truth where there is one.
 
-    `scan`: vertices (v, 3) in metres, in the frame of the registered template, and triangles (m, 3).
+    `scan`: vertices (v, 3) in metres, in the frame of the registered template, and triangles (m, 3). Lengths are held to
+    limits by the pixel's size on the skin (`EvaluateSettings.at_pixel`), which is stated as `rig.pixel_mm`.
     """
-    figures = stated_figures(session, takes, settings)
+    pixel_mm = measure_pixel_mm(session, takes, rig)
+    settings = settings.at_pixel(pixel_mm)
+    figures = [] if pixel_mm is None else _figures({"rig.pixel_mm": pixel_mm}, session.name, None, settings)
+    figures += stated_figures(session, takes, settings)
     if scan is not None:
         values = compare_registration(Template.load(session.template), *scan).figures()
         figures += _figures(values, session.name, None, settings)
@@ -172,6 +181,12 @@ def evaluate_session(
             figures += compare_take(comparison, take)
     # what is measured here goes before what a stage said of itself
     return list({(figure.name, figure.take): figure for figure in figures}.values())
+
+
+def measure_pixel_mm(session: SessionFolder, takes: Iterable[str], rig: Rig) -> float | None:
+    """Edge of a pixel on the face, mm, where the first take that has begun starts; None where no template is placed yet."""
+    placed = next((path for path in map(session.start, takes) if path.is_file()), None)
+    return None if placed is None else pixel_on_skin_mm(rig, Template.load(placed))
 
 
 def measure_take(session: SessionFolder, take: str, settings: EvaluateSettings) -> dict[str, float]:

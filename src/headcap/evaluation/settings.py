@@ -1,8 +1,10 @@
 """What `evaluate` samples, and the limits its figures are held to."""
 
+from __future__ import annotations
+
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from headcap.evaluation.catalogue import CATALOGUE
+from headcap.evaluation.catalogue import CATALOGUE, limit_factor
 
 
 class EvaluateSettings(BaseModel):
@@ -12,7 +14,8 @@ class EvaluateSettings(BaseModel):
 
     limits: dict[str, float | None] = Field(
         default_factory=dict,
-        description="Limits by figure name, in the figure's unit, in place of the default ones; null lifts a limit.",
+        description="Limits by figure name, in the figure's unit, in place of the default ones and as they stand, whatever the "
+        "resolution; null lifts a limit.",
     )
     cloud_frames: int = Field(
         default=8, ge=1, description="Point clouds compared per take, evenly spread from the first to the last."
@@ -38,3 +41,9 @@ class EvaluateSettings(BaseModel):
         if name in self.limits:
             return self.limits[name]
         return CATALOGUE[name].limit if name in CATALOGUE else None
+
+    def at_pixel(self, pixel_mm: float | None) -> EvaluateSettings:
+        """The same with default limits as a rig of this pixel on the skin is held to; limits set here stay as they are."""
+        factor = limit_factor(pixel_mm)
+        scaled = {name: factor * kind.limit for name, kind in CATALOGUE.items() if kind.by_pixel and kind.limit is not None}
+        return self.model_copy(update={"limits": scaled | self.limits})
