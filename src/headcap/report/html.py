@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import numpy as np
 from PIL import Image as PillowImage
 
 from headcap.artifacts import atomic_path
-from headcap.evaluation.catalogue import CATALOGUE
+from headcap.evaluation.catalogue import CATALOGUE, REFERENCE_PIXEL_MM, limit_factor
 from headcap.evaluation.metrics import Figure
 from headcap.report import figures as diagrams
 from headcap.report import pictures
@@ -39,6 +40,7 @@ def write_report(inputs: ReportInputs, path: Path | str) -> None:
         inputs=inputs,
         rows=rows,
         gates=_gates(rows),
+        footnote=_footnote(inputs, rows),
         verdict=_verdict(inputs),
         expectations=_expectations(inputs.figures),
         summary=_summary(inputs),
@@ -82,11 +84,13 @@ class _Row:
     state: str
     meaning: str
     waived: bool
+    scaled: bool
+    """Whether the limit was made larger for the size of a pixel on the skin."""
 
 
 def _rows(inputs: ReportInputs) -> list[_Row]:
     """Rows of the table, in the order of the stages and the catalogue."""
-    stages, names = ("ingest", "sync", "calibrate", "reconstruct", "register", "track"), list(CATALOGUE)
+    stages, names = ("rig", "ingest", "sync", "calibrate", "reconstruct", "register", "place", "track"), list(CATALOGUE)
     place = lambda options, key: options.index(key) if key in options else len(options)  # noqa: E731
     ordered = sorted(inputs.figures, key=lambda f: (place(stages, f.name.split(".")[0]), place(names, f.name), f.name))
     return [
@@ -95,9 +99,33 @@ def _rows(inputs: ReportInputs) -> list[_Row]:
             state={True: "good", False: "bad", None: "plain"}[figure.ok],
             meaning=CATALOGUE[figure.name].meaning if figure.name in CATALOGUE else "",
             waived=figure.ok is False and figure.name in inputs.allowed,
+            scaled=_is_scaled(figure, limit_factor(_pixel_mm(inputs))),
         )
         for figure in ordered
     ]
+
+
+def _pixel_mm(inputs: ReportInputs) -> float | None:
+    return next((figure.value for figure in inputs.figures if figure.name == "rig.pixel_mm"), None)
+
+
+def _is_scaled(figure: Figure, factor: float) -> bool:
+    """Whether a limit is the default one times the factor: one that the session sets stands as it is."""
+    kind = CATALOGUE.get(figure.name)
+    if factor == 1 or kind is None or not kind.by_pixel or None in (kind.limit, figure.limit):
+        return False
+    return math.isclose(figure.limit, factor * kind.limit, rel_tol=1e-9)
+
+
+def _footnote(inputs: ReportInputs, rows: list[_Row]) -> str:
+    """What the mark beside scaled limits means; empty where none is scaled."""
+    if not any(row.scaled for row in rows):
+        return ""
+    pixel_mm = _pixel_mm(inputs)
+    return (
+        f"* Limits of lengths are stated for pixels of up to {REFERENCE_PIXEL_MM:g} mm on the skin. Here a pixel covers"
+        f" {pixel_mm:.2f} mm, so these limits are {limit_factor(pixel_mm):.2f} times as large."
+    )
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,19 @@ def test_a_waived_gate_is_shown_as_past_its_limit(bare, tmp_path):
     assert page.count('class="gate bad"') == 1
 
 
+def test_limits_that_go_by_the_pixel_are_marked_and_explained(bare, page, tmp_path):
+    assert "Limits of lengths are stated for pixels" not in page
+    own = EvaluateSettings(limits={"track.drift_p95_mm": 3.0}).at_pixel(0.69)
+    values = {"rig.pixel_mm": 0.69, "track.drift_median_mm": 0.2, "track.drift_p95_mm": 0.9, "sync.offset_error_ms": 0.01}
+    figures = [make_figure(name, value, session="s", take=None, settings=own) for name, value in values.items()]
+    write_report(replace(bare, figures=tuple(figures)), tmp_path / "report.html")
+    told = (tmp_path / "report.html").read_text()
+    # half as large again as the reference pixel: 0.15 mm becomes 0.225; the session's own limit and milliseconds stay
+    assert re.findall(r"≤ ([0-9.]+\*?)<", told) == ["0.1", "0.225*", "3"]
+    assert "a pixel covers 0.69 mm, so these limits are 1.50 times as large" in told
+    assert "3 of 3 figures are within their limits" in told
+
+
 def test_a_gate_shows_the_worst_take(bare, tmp_path):
     figures = [
         make_figure("reconstruct.completeness_1mm", value, session="s", take=take, settings=EvaluateSettings())
