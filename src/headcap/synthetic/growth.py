@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from headcap.meshes.normals import triangle_normals, vertex_normals
 from headcap.meshes.topology import boundary_loops, submesh
+from headcap.registration.register import lip_pairs
 from headcap.registration.template import Template
 from headcap.synthetic import identity, motion
 from headcap.synthetic.anatomy import Fields, Places, find_places, solve_fields
@@ -185,13 +186,8 @@ def _open_eyes(head: Template, places: Places) -> tuple[Template, tuple[NDArray,
 
 
 def _inner_lips(head: Template) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Right, middle and left vertex of the upper and the lower inner lip, where the lips meet."""
-    v, regions = head.vertices, head.regions
-    seam_y = 0.5 * (v[regions["lips_inner_upper"], 1].min() + v[regions["lips_inner_lower"], 1].max())
-    half = 0.5 * np.ptp(v[regions["lips_upper"], 0])
-    found = []
-    for name in ("lips_inner_upper", "lips_inner_lower"):
-        inner = np.flatnonzero(regions[name])
-        cost = lambda x, i=inner: np.abs(v[i, 0] - x) + 0.3 * np.abs(v[i, 1] - seam_y) - 0.1 * v[i, 2]  # noqa: E731
-        found.append(np.array([inner[np.argmin(cost(x))] for x in (-0.4 * half, 0.0, 0.4 * half)]))
-    return found[0], found[1]
+    """Right, middle and left vertex of the upper and the lower rim, where the lips meet: pairs that lie on each other."""
+    pairs = lip_pairs(head)
+    x = head.vertices[pairs, 0].mean(1)
+    chosen = [int(np.argmin(np.abs(x - place))) for place in (0.4 * x[0], 0.0, 0.4 * x[-1])]
+    return pairs[chosen, 0], pairs[chosen, 1]
