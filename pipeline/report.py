@@ -21,6 +21,8 @@ def run(
     clouds: list[Path],
     starts: list[Path],
     sequences: list[Path],
+    sync_figures: list[Path],
+    residuals: list[Path],
     metrics: Path,
     report: Path,
     summary: Path,
@@ -50,7 +52,7 @@ def run(
         kind="report",
         stage="report",
         settings_digest=digest_settings(settings=settings),
-        inputs=[metrics, rig, template, *ingested, *offsets, *timelines, *clouds, *starts, *sequences],
+        inputs=[metrics, rig, template, *ingested, *offsets, *timelines, *clouds, *starts, *sequences, *sync_figures, *residuals],
         figures={},
     )
 

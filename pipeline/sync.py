@@ -7,6 +7,7 @@ from headcap.artifacts.gates import enforce, judge
 from headcap.calibration.result import CalibrationResult
 from headcap.recordings.takes import IngestedTake
 from headcap.sync.board_sound import load_clapper, read_sounds
+from headcap.sync.figure import save_sync_figure
 from headcap.sync.settings import SyncSettings
 from headcap.sync.solve import synchronise
 from headcap.sync.timeline import make_timeline
@@ -19,6 +20,7 @@ def run(
     clapper: Path,
     offsets: Path,
     timeline: Path,
+    figure: Path,
     manual_s: dict[str, float],
     frames: tuple[int, int] | None,
     limits: dict[str, float],
@@ -26,8 +28,9 @@ def run(
     settings: SyncSettings,
 ) -> None:
     take, calibrated, placed = IngestedTake.load(ingested), CalibrationResult.load(rig).rig, load_clapper(clapper)
+    sounds = read_sounds(take)
     found = synchronise(
-        read_sounds(take),
+        sounds,
         take=take.take,
         camera_centres=dict(zip(calibrated.names, calibrated.centres, strict=True)),
         clapper_m=placed.clapper_m,
@@ -39,6 +42,7 @@ def run(
     enforce(judge(found.figures, limits, allow), remedy)
     make_timeline(take, found.offsets, frames=frames).save(timeline)
     found.offsets.save(offsets)
+    save_sync_figure(figure, found, sounds, min_confidence=settings.min_confidence)
     digest = digest_settings(settings=settings, manual_s=manual_s, frames=frames)
     for artifact, kind, figures in ((offsets, "time_offsets", found.figures), (timeline, "take_timeline", {})):
         write_manifest(

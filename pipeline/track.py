@@ -8,6 +8,7 @@ from headcap.calibration.result import CalibrationResult
 from headcap.reconstruction.cloud_sequence import CloudSequence
 from headcap.recordings.takes import IngestedTake
 from headcap.registration.anchors import Anchors
+from headcap.registration.residuals import TrackResiduals
 from headcap.registration.sequence import save_chunk
 from headcap.registration.template import Template
 from headcap.registration.track_settings import TrackSettings
@@ -28,6 +29,7 @@ def run(
     timeline: Path,
     rig: Path,
     meshes: Path,
+    residuals: Path,
     chunk: tuple[int, int],
     settings: TrackSettings,
 ) -> None:
@@ -36,18 +38,21 @@ def run(
     coarse = Anchors.load(anchors, first - 1, last + 1)
     PROGRESS.info("track %s: frames %d to %d", whole.take, whole.frames[first], whole.frames[last])
     with open_take(IngestedTake.load(ingested), TimeOffsets.load(offsets)) as take:
-        positions, figures = track_chunk(
+        positions, left = track_chunk(
             Template.load(start), coarse, CalibrationResult.load(rig).rig, take, points.at, first, last, settings
         )
+    by_frame = TrackResiduals.of(whole.take, whole.time_s[first : last + 1], left)
+    by_frame.save(residuals)
     save_chunk(meshes, positions)
-    write_manifest(
-        meshes,
-        kind="mesh_chunk",
-        stage="track",
-        settings_digest=digest_settings(settings=settings, chunk=chunk),
-        inputs=[start, anchors, *clouds, ingested, offsets, timeline, rig],
-        figures={f"track.{name}": max(values) for name, values in figures.items()},
-    )
+    for artifact, kind, figures in ((residuals, "track_residuals", {}), (meshes, "mesh_chunk", by_frame.worst)):
+        write_manifest(
+            artifact,
+            kind=kind,
+            stage="track",
+            settings_digest=digest_settings(settings=settings, chunk=chunk),
+            inputs=[start, anchors, *clouds, ingested, offsets, timeline, rig],
+            figures=figures,
+        )
 
 
 if "snakemake" in globals():

@@ -202,6 +202,13 @@ def meshes(wildcards):
     ]
 
 
+def chunk_residuals(wildcards):
+    """What the tracker was left with, chunk by chunk, of a whole take."""
+    return [
+        mesh.removesuffix(".npy") + ".residuals.json" for mesh in meshes(wildcards)
+    ]
+
+
 def session_clouds(wildcards):
     """Point clouds of all takes."""
     return [
@@ -271,6 +278,21 @@ def session_results(wildcards):
         "starts": [f"{folder}/track/{take}/start.npz" for take in names],
         "sequences": [f"{folder}/track/{take}/sequence.json" for take in names],
     }
+
+
+def sync_figures(wildcards):
+    """What sync drew of each take."""
+    return [
+        f"results/{wildcards.session}/sync/{take}.png" for take in takes(wildcards)
+    ]
+
+
+def take_residuals(wildcards):
+    """What the tracker was left with in each take."""
+    return [
+        f"results/{wildcards.session}/track/{take}/residuals.json"
+        for take in takes(wildcards)
+    ]
 
 
 def evaluate_setting(wildcards):

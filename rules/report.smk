@@ -2,6 +2,7 @@
 One page per session: figures, gates, pictures of every stage.
 
 INPUTS:   results of all stages and takes, metrics = results/{session}/metrics.json
+          sync_figures, residuals = what sync drew and what the tracker was left with, per take
 OUTPUTS:  report  = results/{session}/report/report.html
           summary = results/{session}/report/summary.png, one line of pictures per take
 """
@@ -11,6 +12,8 @@ rule report:
     """The session's report."""
     input:
         unpack(session_results),
+        sync_figures=sync_figures,
+        residuals=take_residuals,
         placement="results/{session}/register/placement.json",
         metrics="results/{session}/metrics.json",
     output:

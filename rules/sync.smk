@@ -8,6 +8,7 @@ INPUTS:   ingested = results/{session}/ingest/{take}.json
           clapper  = results/{session}/sync/board/clapper.json
 OUTPUTS:  offsets  = results/{session}/sync/{take}.json
           timeline = results/{session}/sync/{take}.timeline.json
+          figure   = results/{session}/sync/{take}.png, the clap in every camera's sound and what the pairs disagree by
 """
 
 
@@ -64,6 +65,7 @@ checkpoint sync:
     output:
         offsets="results/{session}/sync/{take}.json",
         timeline="results/{session}/sync/{take}.timeline.json",
+        figure="results/{session}/sync/{take}.png",
     log:
         "results/{session}/logs/sync/{take}.log",
     benchmark:

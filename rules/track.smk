@@ -8,6 +8,8 @@ OUTPUTS:  start    = results/{session}/track/{take}/start.npz, the template on t
           anchors  = results/{session}/track/{take}/anchors.npz, the coarse trajectory from which chunks start
           chunk    = results/{session}/track/{take}/chunk_{chunk}.npy
           sequence = results/{session}/track/{take}/sequence.json
+          residuals = results/{session}/track/{take}/residuals.json, what the tracker was left with in each frame; per chunk
+                      beside it
 """
 
 
@@ -72,6 +74,7 @@ rule track:
         rig="results/{session}/calibrate/rig.json",
     output:
         meshes="results/{session}/track/{take}/chunk_{chunk}.npy",
+        residuals="results/{session}/track/{take}/chunk_{chunk}.residuals.json",
     log:
         "results/{session}/logs/track/{take}_{chunk}.log",
     benchmark:
@@ -90,9 +93,11 @@ rule collect:
     """The chunks of a take as one mesh sequence."""
     input:
         meshes=meshes,
+        chunk_residuals=chunk_residuals,
         timeline="results/{session}/sync/{take}.timeline.json",
     output:
         sequence="results/{session}/track/{take}/sequence.json",
+        residuals="results/{session}/track/{take}/residuals.json",
     log:
         "results/{session}/logs/track/{take}_collect.log",
     benchmark:

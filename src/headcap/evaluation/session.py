@@ -45,6 +45,10 @@ class SessionFolder:
         """Start times of a take."""
         return self.folder / "sync" / f"{take}.json"
 
+    def sync_figure(self, take: str) -> Path:
+        """What sync drew of the clap."""
+        return self.folder / "sync" / f"{take}.png"
+
     def clouds(self, take: str) -> list[Path]:
         """Point clouds of a take in the order of frames; those of frames the take no longer has are left aside."""
         found = sorted((self.folder / "reconstruct" / take).glob("frame_*.ply"))
@@ -61,6 +65,10 @@ class SessionFolder:
     def sequence(self, take: str) -> Path:
         """The tracked take."""
         return self.folder / "track" / take / "sequence.json"
+
+    def residuals(self, take: str) -> Path:
+        """What the tracker was left with in each frame."""
+        return self.folder / "track" / take / "residuals.json"
 
     def tracking_errors(self, take: str) -> Path:
         """Errors of the tracked take, written by `evaluate`."""

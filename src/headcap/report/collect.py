@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image as PillowImage
 
 from headcap.artifacts import Manifest
 from headcap.calibration.board import BoardSettings
@@ -22,6 +23,7 @@ from headcap.reconstruction.points import PointCloud
 from headcap.recordings.frames import TakeFrames
 from headcap.recordings.takes import IngestedTake
 from headcap.recordings.video import VideoFrames
+from headcap.registration.residuals import TrackResiduals
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 from headcap.report.inputs import (
@@ -134,7 +136,16 @@ def _take(
         gaps=_gaps(session, take, sequence, positions, triangles),
         errors=errors,
         neutral=positions[0],
+        residuals=TrackResiduals.load(left) if (left := session.residuals(take)).is_file() else None,
+        sync_figure=_picture(session.sync_figure(take)),
     )
+
+
+def _picture(path: Path) -> NDArray[np.uint8] | None:
+    """An image file as RGB, where it is there."""
+    if not path.is_file():
+        return None
+    return np.asarray(PillowImage.open(path).convert("RGB"))
 
 
 def _views(

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from headcap.calibration.detection import CameraDetections
 from headcap.calibration.result import CalibrationResult
 from headcap.cameras import Rig
+from headcap.evaluation.catalogue import unit_of
 from headcap.evaluation.tracking import TrackingErrors
+from headcap.registration.residuals import TrackResiduals
 from headcap.report.inputs import CloudGaps
 from headcap.sync.offsets import TimeOffsets
 
@@ -43,6 +45,10 @@ _STYLE = {
     "lines.linewidth": 1.3,
 }
 _DPI = 150
+_RESIDUALS = {
+    "surface_flow_residual": "Photographs against the textured mesh",
+    "last_step_mm": "Last refinement: rms step of the vertices",
+}
 
 
 @contextmanager
@@ -201,6 +207,21 @@ def gap_curves(gaps: CloudGaps) -> Image:
         axes.plot(gaps.frames, gaps.p95_mm, "-o", markersize=2.5, color=SECOND, label="95th percentile")
         axes.set(title="Reconstructed points to the tracked mesh", xlabel="frame", ylabel="mm", ylim=(0, None))
         axes.legend(ncols=2, loc="upper right")
+    return out[0]
+
+
+def residual_curves(residuals: TrackResiduals) -> Image:
+    """What the tracker was left with in each frame, one panel per residual."""
+    frames = np.arange(len(residuals))
+    with _sheet(8.2, 1.9) as (figure, out):
+        panels = figure.subplots(1, len(residuals.values), squeeze=False)[0]
+        for axes, (name, values) in zip(panels, residuals.values.items(), strict=True):
+            axes.plot(frames, values, color=ACCENT)
+            worst = int(np.argmax(values))
+            axes.plot(worst, values[worst], "o", markersize=4, color=SECOND)
+            axes.annotate(f"frame {worst}: {values[worst]:.3g}", (worst, values[worst]), (0, 5), textcoords="offset points")
+            axes.set(title=_RESIDUALS.get(name, name), xlabel="frame", ylabel=unit_of(f"track.{name}"))
+            axes.set(ylim=(0, 1.25 * max(float(np.max(values)), 1e-9)), xlim=(-0.5, len(residuals) - 0.5))
     return out[0]
 
 

@@ -195,9 +195,13 @@ def _summary(inputs: ReportInputs) -> list[_Shown]:
     return [_Shown(jpeg_uri(panel.image), panel.caption) for panel in panels]
 
 
-def _sync(take: TakeReport, inputs: ReportInputs) -> _Shown:
+def _sync(take: TakeReport, inputs: ReportInputs) -> list[_Shown]:
     image = diagrams.offsets_diagram(take.offsets, take.true_start_s, inputs.rate_hz)
-    return _Shown(png_uri(image), f"start times of {take.take}", wide=True)
+    shown = [_Shown(png_uri(image), f"start times of {take.take}", wide=True)]
+    if take.sync_figure is not None:
+        caption = "the clap in every camera's sound, and by how much each pair of cameras disagrees with the start times"
+        shown.append(_Shown(png_uri(take.sync_figure), caption, wide=True))
+    return shown
 
 
 def _calibration(calibration: CalibrationReport, inputs: ReportInputs) -> list[_Shown]:
@@ -241,6 +245,9 @@ def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], l
         over_time += [_Shown(jpeg_uri(panel.image), panel.caption) for panel in maps]
     if take.gaps is not None:
         over_time.append(_Shown(png_uri(diagrams.gap_curves(take.gaps)), "without truth: points against the mesh", wide=True))
+    if take.residuals is not None:
+        caption = "without truth: what the tracker was left with in each frame"
+        over_time.append(_Shown(png_uri(diagrams.residual_curves(take.residuals)), caption, wide=True))
     return rows, over_time
 
 

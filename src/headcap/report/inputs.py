@@ -14,6 +14,7 @@ from headcap.cameras import Camera
 from headcap.evaluation.metrics import Figure
 from headcap.evaluation.tracking import TrackingErrors
 from headcap.reconstruction.points import PointCloud
+from headcap.registration.residuals import TrackResiduals
 from headcap.registration.template import Template
 from headcap.sync.offsets import TimeOffsets
 
@@ -57,6 +58,10 @@ class TakeReport:
     errors: TrackingErrors | None
     neutral: NDArray[np.float32]
     """(n, 3) the first tracked mesh, on which errors over time are shown."""
+    residuals: TrackResiduals | None = None
+    """What the tracker was left with in each frame."""
+    sync_figure: NDArray[np.uint8] | None = None
+    """(height, width, 3) RGB: what sync drew of the clap."""
 
 
 @dataclass(frozen=True)

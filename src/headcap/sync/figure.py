@@ -12,8 +12,8 @@ from headcap.artifacts.files import atomic_path
 from headcap.sync.solve import SyncResult
 
 BEFORE_S, AFTER_S = 0.004, 0.016
-CONFIDENT = "#1b7837"
-DOUBTFUL = "#b2182b"
+CONFIDENT = "#00877a"
+DOUBTFUL = "#b3261e"
 
 
 def save_sync_figure(
@@ -49,13 +49,14 @@ def _draw_waves(axes, result: SyncResult, audio: Mapping) -> None:
             time_ms = 1e3 * (start_s + numbers / rate - arrival_s)
             axes.plot(time_ms, row - 0.45 * cut / max(np.abs(cut).max(), 1e-9), lw=0.6, color="#2166ac")
     axes.axvline(0, color="black", lw=0.8)
-    axes.set(yticks=range(len(cameras)), yticklabels=cameras, xlabel="ms after the clap's arrival", title="sound, aligned")
+    axes.set(yticks=range(len(cameras)), yticklabels=cameras, xlim=(-1e3 * BEFORE_S, 1e3 * AFTER_S))
+    axes.set(xlabel="ms after the clap's arrival", title="sound of each camera, aligned at the clap")
     axes.invert_yaxis()
 
 
 def _draw_residuals(figure, axes, result: SyncResult) -> None:
     cameras = result.offsets.cameras
-    axes.set(title="residual of each pair, microseconds", xticks=range(len(cameras)), yticks=range(len(cameras)))
+    axes.set(title="what each pair disagrees by, microseconds", xticks=range(len(cameras)), yticks=range(len(cameras)))
     axes.set_xticklabels(cameras, rotation=90)
     axes.set_yticklabels(cameras)
     if not result.events:
@@ -65,7 +66,7 @@ def _draw_residuals(figure, axes, result: SyncResult) -> None:
     known = np.abs(residual_us[np.isfinite(residual_us)])
     limit = max(float(np.percentile(known, 95)) if len(known) else 0.0, 1.0)
     image = axes.imshow(residual_us, cmap="RdBu", vmin=-limit, vmax=limit)
-    figure.colorbar(image, ax=axes, shrink=0.7)
+    figure.colorbar(image, ax=axes, shrink=0.5)
 
 
 def _draw_confidence(axes, result: SyncResult, min_confidence: float) -> None:

@@ -14,6 +14,7 @@ from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.tracking import TrackingErrors
 from headcap.geometry.transforms import rigid
 from headcap.reconstruction.points import PointCloud
+from headcap.registration.residuals import TrackResiduals
 from headcap.registration.template import Template
 from headcap.report.inputs import (
     BoardPicture,
@@ -92,6 +93,10 @@ def inputs(rig: Rig, template: Template) -> ReportInputs:
         gaps=CloudGaps(np.arange(4), np.full(4, 0.1), np.full(4, 0.4)),
         errors=errors,
         neutral=positions[0],
+        residuals=TrackResiduals.of(
+            "smile", range(4), {"surface_flow_residual": [0.2, 0.3, 0.25, 0.2], "last_step_mm": [0.1] * 4}
+        ),
+        sync_figure=np.full((60, 90, 3), 200, np.uint8),
     )
     corners = rng.uniform(20, 140, (12, 2))
     detections = tuple(

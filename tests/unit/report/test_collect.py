@@ -52,6 +52,8 @@ def folder(inputs, rig, template, tmp_path_factory) -> Path:
         points = (template.vertices + moved[frame]).astype(np.float32)
         cloud = replace(take.views[0].cloud, positions=points, time_s=float(times[frame]))
         cloud.save(session.folder / "reconstruct" / "smile" / f"frame_{frame:06d}.ply")
+    take.residuals.save(session.residuals("smile"))
+    cv2.imwrite(str(session.sync_figure("smile")), np.full((20, 30, 3), (10, 20, 200), np.uint8))
     save_metrics(session.metrics, inputs.figures)
     write_manifest(session.template, kind="template", stage="register", settings_digest="", inputs=[], figures={})
     return session.folder
@@ -72,6 +74,12 @@ def test_points_are_measured_against_the_mesh_of_their_frame(folder):
     gaps = collect_report(folder, DESCRIBED).takes[0].gaps
     assert gaps.frames.tolist() == [2, 5]
     assert gaps.p95_mm.max() < 1e-3
+
+
+def test_what_stages_drew_and_wrote_of_a_take_is_kept(folder, inputs):
+    take = collect_report(folder, DESCRIBED).takes[0]
+    assert take.sync_figure[0, 0].tolist() == [200, 20, 10]
+    assert take.residuals.worst == inputs.takes[0].residuals.worst
 
 
 def test_takes_and_truth_that_are_not_there_are_left_out(folder):

@@ -38,6 +38,17 @@ def test_the_page_is_offline_and_whole(page):
         assert f'href="#{section}"' in page
 
 
+def test_what_sync_drew_and_what_the_tracker_was_left_with_are_shown(inputs, page, bare, tmp_path):
+    assert "the clap in every camera" in page
+    assert "what the tracker was left with" in page
+    take = replace(inputs.takes[0], residuals=None, sync_figure=None)
+    write_report(replace(bare, takes=(take,)), tmp_path / "report.html")
+    told = (tmp_path / "report.html").read_text()
+    assert "start times of smile" in told
+    assert "the clap in every camera" not in told
+    assert "what the tracker was left with" not in told
+
+
 def test_provenance_versions_and_settings_are_told(page):
     assert "abababababababab" in page
     assert "numpy 2" in page
