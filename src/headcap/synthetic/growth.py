@@ -11,7 +11,7 @@ from headcap.meshes.normals import triangle_normals, vertex_normals
 from headcap.meshes.topology import boundary_loops, submesh
 from headcap.registration.register import lip_pairs
 from headcap.registration.template import Template
-from headcap.synthetic import identity, motion
+from headcap.synthetic import identity, lips, motion
 from headcap.synthetic.anatomy import Fields, Places, find_places, solve_fields
 from headcap.synthetic.densify import subdivide
 from headcap.synthetic.larynx import build_larynx, throat_frame
@@ -39,6 +39,9 @@ class _Skin:
     """Fewer triangles over the first of the same points."""
     in_mouth: NDArray[np.bool_]
     """(n,)."""
+    follows_face: NDArray[np.float64]
+    """(n,) how far a vertex follows the face's muscles, less and less inside the mouth."""
+    contact: lips.LipContact
     material: NDArray[np.uint8]
     looks: tuple[NDArray[np.float32], NDArray[np.float32]]
     """(n, 7) for most takes and for lip takes."""
@@ -73,6 +76,11 @@ def _grow_skin(
     regions = {name: np.clip(operator @ mask.astype(float), 0, 1) for name, mask in head.regions.items()}
     relief = (1 - regions["mouth_interior"]) * (1 - 0.5 * regions["lips_upper"] - 0.5 * regions["lips_lower"])
     points = identity.add_detail(operator @ head.vertices, triangles, relief, random, settings.detail_mm / 1000)
+    fields, pairs = solve_fields(head, places).mapped(operator), lip_pairs(head)
+    above, below = fields.upper_lip > fields.lower_lip, fields.lower_lip > fields.upper_lip
+    points = lips.close_lips(points, pairs, above, below)
+    sides = [regions[f"lips_{side}"] + regions[f"lips_inner_{side}"] > 0.01 for side in ("upper", "lower")]
+    inside = regions["mouth_interior"] + regions["lips_inner_upper"] + regions["lips_inner_lower"] > 0.01
     look = identity.skin_look(points, regions, places, random, tattoos=settings.tattoos)
     lips_look = identity.tattoo_lips(look, points, regions, places) if settings.tattoos else look
     wall = np.tile(head.regions["mouth_interior"][head.triangles].all(1), 4)
@@ -83,7 +91,9 @@ def _grow_skin(
         in_mouth=regions["mouth_interior"] > 0.5,
         material=np.where(wall, MOUTH, SKIN).astype(np.uint8),
         looks=(look, lips_look),
-        fields=solve_fields(head, places).mapped(operator),
+        follows_face=lips.follows_face(points, pairs, inside),
+        contact=lips.build_contact(points, pairs, *sides),
+        fields=fields,
         rims=rims,
     )
 
@@ -111,7 +121,8 @@ def _assemble(skin: _Skin, hard: tuple[Part, ...], places: Places, prominence_m:
         places=places,
         fields=fields,
         larynx=build_larynx(points, outer, places, prominence_m),
-        pulls=motion.build_pulls(points, outer, places),
+        pulls=motion.build_pulls(points, np.pad(skin.follows_face, (0, len(points) - len(skin.points))), places),
+        contact=skin.contact,
         lids=tuple(motion.build_lids(points, is_skin, rim, c, r) for rim, c, r in zip(skin.rims, *balls, strict=True)),
         eyes=tuple(np.arange(starts[k], starts[k + 1]) for k in range(2)),
         lip_zone=np.flatnonzero(is_skin & (np.linalg.norm(points - places.mouth, axis=1) < _LIP_ZONE_M)),

@@ -50,8 +50,11 @@ class Pull:
         points[self.vertices] = self.pivot + moved * (1 + swell / radius)
 
 
-def build_pulls(points: NDArray, skin: NDArray, places: Places) -> tuple[Pull, ...]:
-    """Muscles of the face, both sides; a row: muscle, insertion, direction, way in mm, radius in mm, swelling in mm."""
+def build_pulls(points: NDArray, follows: NDArray, places: Places) -> tuple[Pull, ...]:
+    """Muscles of the face, both sides; a row: muscle, insertion, direction, way in mm, radius in mm, swelling in mm.
+
+    `follows` (n,) is how far each vertex follows them: 1 on the outer skin, 0 on what is no skin.
+    """
     pulls = []
     for side, name in ((1, "left"), (-1, "right")):
         corner = places.mouth_left if side > 0 else places.mouth_right
@@ -69,13 +72,15 @@ def build_pulls(points: NDArray, skin: NDArray, places: Places) -> tuple[Pull, .
         ):
             flip = np.array([side, 1, 1])
             insertion = place + flip * np.array(offset_mm) / 1000
-            pulls.append(_pull(points, skin, muscle, insertion, flip * np.array(direction, float), way_mm, radius_mm, swell_mm))
+            pulls.append(
+                _pull(points, follows, muscle, insertion, flip * np.array(direction, float), way_mm, radius_mm, swell_mm)
+            )
     return tuple(pulls)
 
 
 def _pull(
     points: NDArray,
-    skin: NDArray,
+    follows: NDArray,
     muscle: str,
     insertion: NDArray,
     direction: NDArray,
@@ -83,12 +88,12 @@ def _pull(
     radius_mm: float,
     swell_mm: float,
 ) -> Pull:
-    candidates = np.flatnonzero(skin)
+    candidates = np.flatnonzero(follows == 1)
     nearest = points[candidates[np.argmin(np.linalg.norm(points[candidates] - insertion, axis=1))]]
     inward = -nearest * np.array([1.0, 0.3, 1.0])
     pivot = nearest + _CURVATURE_M * inward / np.linalg.norm(inward)
     axis = np.cross(nearest - pivot, direction)
-    weights = np.exp(-0.5 * ((points - nearest) ** 2).sum(1) / (radius_mm / 1000) ** 2) * skin
+    weights = np.exp(-0.5 * ((points - nearest) ** 2).sum(1) / (radius_mm / 1000) ** 2) * follows
     chosen = np.flatnonzero(weights > 1e-4)
     # the Gaussian is let down to zero where it is cut off
     weights = (weights[chosen] - 1e-4) / (1 - 1e-4)

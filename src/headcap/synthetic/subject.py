@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from headcap.synthetic import motion
 from headcap.synthetic.anatomy import Fields, Places
 from headcap.synthetic.larynx import Larynx
+from headcap.synthetic.lips import LipContact
 from headcap.synthetic.performance import CHANNELS
 from headcap.synthetic.render import Surface
 from headcap.synthetic.texture import Grain
@@ -35,6 +36,7 @@ class Subject:
     fields: Fields
     larynx: Larynx
     pulls: tuple[motion.Pull, ...]
+    contact: LipContact
     lids: tuple[motion.Lids, ...]
     """Left, right."""
     eyes: tuple[NDArray[np.int64], ...]
@@ -61,6 +63,7 @@ class Subject:
                 pull.apply(points, state[pull.muscle])
         motion.move_lips(points, self.lip_zone, self.fields, self.places, state)
         motion.turn_jaw(points, self.jaw_zone, self.fields, self.places, state)
+        self.contact.keep_apart(points)
         for lids in self.lids:
             lids.apply(points, state["blink"])
         gaze = motion.gaze_rotation(state["gaze_x"], state["gaze_y"])
