@@ -109,7 +109,7 @@ class _Matcher:
         self.near, self.far = near_far
         self.w_limits = np.array([1 / self.far, 1 / self.near], np.float32)
         matching = settings.matching
-        self.min_energy = np.float32(matching.window_px**2 * matching.min_contrast**2)
+        self.min_variance = np.float32(matching.min_contrast**2)
 
     def start(self, prior: Mesh | None) -> None:
         """Find the surface at the coarsest level."""
@@ -144,7 +144,7 @@ class _Matcher:
             seen = self._start_from_mesh(index, planes, prior)
             searched &= ~seen
         depths = 1 / np.linspace(self.w_limits[0], self.w_limits[1], matching.depth_planes + 2)[1:-1]
-        patchmatch.sweep_depths(*geometry, depths, matching.best_sources, self.min_energy, searched, planes.plane, planes.cost)
+        patchmatch.sweep_depths(*geometry, depths, matching.best_sources, self.min_variance, searched, planes.plane, planes.cost)
         planes.active &= (planes.cost < patchmatch.NO_MATCH) | (planes.plane[..., 0] > 0)
         for sweep in range(matching.coarse_sweeps):
             self._propagate(index, planes, sweep, reach_px=2.0 * 0.7**sweep, slope_reach=1.5 * 0.7**sweep)
@@ -170,7 +170,7 @@ class _Matcher:
         focal = self.levels[index].matrices[self.view][0, 0]
         seed = np.uint64(1_000_003 * (self.view + 1) + 7919 * index + sweep)
         patchmatch.propagate(
-            *self._geometry(index), self.w_limits, matching.best_sources, self.min_energy, 3 if coarsest else 0,
+            *self._geometry(index), self.w_limits, matching.best_sources, self.min_variance, 3 if coarsest else 0,
             matching.trials, reach_px, slope_reach / focal, seed, sweep % 2 == 1, planes.settled, planes.active,
             planes.plane, planes.cost,
         )  # fmt: skip
@@ -180,7 +180,7 @@ class _Matcher:
         planes = _Planes.empty(chosen.copy())
         usable = coarse.active & (coarse.cost < matching.max_cost)
         patchmatch.descend(
-            *self._geometry(index), matching.best_sources, self.min_energy, coarse.plane, usable, planes.active,
+            *self._geometry(index), matching.best_sources, self.min_variance, coarse.plane, usable, planes.active,
             planes.plane, planes.cost,
         )  # fmt: skip
         _inherit(planes, coarse, usable, chosen, below, matching.cell_px)

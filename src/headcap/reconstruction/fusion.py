@@ -15,6 +15,10 @@ from headcap.reconstruction.rims import doubt_rims
 from headcap.reconstruction.settings import FusionSettings
 from headcap.reconstruction.visibility import BASE_ANGLE_DEG, MapStack, surface_beside
 
+SHEET_SHARE = 0.2
+"""Half the thickness of the sheet along a point's tangent plane in which its neighbours lie, as a share of the reach: skin
+bends away by reach^2 / (2 radius), which is less for every radius above 2.5 times the reach (lips and nostrils)."""
+
 
 def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_px: int = 2) -> PointCloud:
     """Fuse depth maps (any number, any sizes) into points where at least `min_views` views agree.
@@ -43,7 +47,10 @@ def fuse(maps: list[DepthMap], *, time_s: float, settings: FusionSettings, cell_
     kept, spacing = _thin_to(positions, sigma, settings.spacing_px * footprint, settings.max_points)
     positions, normals, confidence, colours = (array[kept] for array in (positions, normals, confidence, colours))
     if settings.outlier_neighbours and len(positions) and spacing > 0:
-        crowded = count_neighbours(positions.astype(np.float64), 3 * spacing) >= settings.outlier_neighbours
+        # where many points made the spacing grow, the reach grows with it
+        reach = settings.outlier_reach_px / settings.spacing_px * spacing
+        beside = count_neighbours(positions.astype(np.float64), normals.astype(np.float64), reach, SHEET_SHARE * reach)
+        crowded = beside >= settings.outlier_neighbours
         positions, normals, confidence, colours = (array[crowded] for array in (positions, normals, confidence, colours))
     return PointCloud(positions.astype(np.float32), normals, confidence, colours, time_s)
 
@@ -215,8 +222,8 @@ def thin(positions, order, spacing):
 
 
 @njit(**JIT)
-def count_neighbours(positions, radius):
-    """Number of other points within `radius` of each of `positions` (n, 3)."""
+def count_neighbours(positions, normals, radius, thickness):
+    """Number of other points within `radius` of each of `positions` (n, 3), at most `thickness` off its tangent plane."""
     n = len(positions)
     buckets = 1
     while buckets < 2 * n + 2:
@@ -248,9 +255,11 @@ def count_neighbours(positions, radius):
             at = head[key]
             while at >= 0:
                 if at != k:
-                    d = 0.0
+                    d, off = 0.0, 0.0
                     for axis in range(3):
-                        d += (positions[k, axis] - positions[at, axis]) ** 2
-                    counts[k] += d < near2
+                        step = positions[at, axis] - positions[k, axis]
+                        d += step * step
+                        off += step * normals[k, axis]
+                    counts[k] += (d < near2) & (abs(off) <= thickness)
                 at = after[at]
     return counts

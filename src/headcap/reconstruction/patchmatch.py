@@ -4,7 +4,8 @@ A hypothesis is a plane written in the image: inverse depth w at the cell's cent
 the inverse depth of a plane is linear over a pinhole image. Handing it to a neighbour is then w + a du + b dv, and the
 warp into a source is the homography M (u, v, 1) + t (w + a du + b dv). Scheme: Bleyer et al. 2011 (PatchMatch stereo),
 whose sweeps in reading order carry a plane across the
-image at once; one core per process makes red-black sweeps needless.
+image at once; one core per process makes red-black sweeps needless. Hypotheses compete on every second sample of a window,
+which is enough to rank them (Galliani et al. 2015 skip rows and columns alike); refinement takes all.
 """
 
 from __future__ import annotations
@@ -45,20 +46,31 @@ def window_offsets(cell_px, window_px):
 
 
 @njit(**JIT)
+def checkered_offsets(cell_px, window_px):
+    """Every second of `window_offsets`, as the squares of one colour of a chessboard, first and last sample included."""
+    every_u, every_v = window_offsets(cell_px, window_px)
+    side = round(2 * every_u[-1]) + 1
+    du = np.empty((every_u.size + 1) // 2, np.float32)
+    dv = np.empty_like(du)
+    n = 0
+    for k in range(every_u.size):
+        if (k // side + k % side) % 2 == 0:
+            du[n], dv[n] = every_u[k], every_v[k]
+            n += 1
+    return du, dv
+
+
+@njit(**JIT)
 def load_patch(image, u, v, du, dv, patch):
-    """Copy the window around (u, v) with its mean taken out; returns its sum of squares, -1 if it leaves the image."""
+    """Copy the samples (du, dv) around (u, v), less their mean; returns the sum of squares, -1 where one is out of the image."""
     height, width = image.shape
     reach = du[-1]
-    left, top = round(u - reach), round(v - reach)
-    side = round(2 * reach) + 1
-    if left < 0 or top < 0 or left + side > width or top + side > height:
+    if u < reach or v < reach or u + reach > width - 1 or v + reach > height - 1:
         return np.float32(-1.0)
     total = np.float32(0.0)
-    for row in range(side):
-        for column in range(side):
-            value = image[top + row, left + column]
-            patch[row * side + column] = value
-            total += value
+    for k in range(patch.size):
+        patch[k] = image[np.int32(v + dv[k]), np.int32(u + du[k])]
+        total += patch[k]
     mean = total / np.float32(patch.size)
     energy = np.float32(0.0)
     for k in range(patch.size):
@@ -83,18 +95,21 @@ def aim(m, t, u, v, warp):
 
 @njit(inline="always")
 def window_inside(x0, y0, z0, xu, yu, zu, xv, yv, zv, reach, width, height):
-    """Whether a window's four corners lie in a source and are not mirrored (as by a plane seen from behind)."""
-    if (xu * yv - xv * yu) * z0 + (yu * zv - yv * zu) * x0 + (zu * xv - zv * xu) * y0 <= 0.0:
-        return False
-    right, bottom = width - np.float32(1.001), height - np.float32(1.001)
-    for corner in range(4):
-        du = reach if corner % 2 else -reach
-        dv = reach if corner // 2 else -reach
-        z = z0 + du * zu + dv * zv
-        x, y = x0 + du * xu + dv * xv, y0 + du * yu + dv * yv
-        if not (z > 1e-6 and x >= 0.0 and y >= 0.0 and x < right * z and y < bottom * z):
-            return False
-    return True
+    """Whether a window's four corners lie in a source and are not mirrored (as by a plane seen from behind).
+
+    Every bound is linear over the window (x / z < width is width z - x > 0), so it is least at a corner: the centre's value
+    less `reach` times the size of its slopes.
+    """
+    right, bottom, zero = np.float32(width) - np.float32(1.001), np.float32(height) - np.float32(1.001), np.float32(0.0)
+    facing = (xu * yv - xv * yu) * z0 + (yu * zv - yv * zu) * x0 + (zu * xv - zv * xu) * y0
+    return (
+        (facing > zero)
+        & (z0 - reach * (abs(zu) + abs(zv)) > np.float32(1e-6))
+        & (x0 - reach * (abs(xu) + abs(xv)) >= zero)
+        & (y0 - reach * (abs(yu) + abs(yv)) >= zero)
+        & (right * z0 - x0 - reach * (abs(right * zu - xu) + abs(right * zv - xv)) > zero)
+        & (bottom * z0 - y0 - reach * (abs(bottom * zu - yu) + abs(bottom * zv - yv)) > zero)
+    )
 
 
 @njit(**JIT)
@@ -152,8 +167,8 @@ def score(flat, area, stride, sizes, sources, warp, w, a, b, du, dv, patch, ener
 
 @njit(**JIT)
 def same_plane(unit, reach, w, a, b, pw, pa, pb):
-    """Whether two hypotheses differ by less than a twentieth of a pixel over a window: not worth a second look."""
-    near = np.float32(0.05) * unit
+    """Whether two hypotheses differ by less than a tenth of a pixel over a window: refinement bridges that."""
+    near = np.float32(0.1) * unit
     return abs(pw - w) < near and abs(pa - a) * reach < near and abs(pb - b) * reach < near
 
 
@@ -169,11 +184,11 @@ def pixel_of_disparity(warp, w):
 
 
 @njit(**JIT)
-def sweep_depths(images, sizes, view, sources, m, t, cell_px, window_px, depths, best_sources, min_energy, active, plane, cost):
+def sweep_depths(images, sizes, view, sources, m, t, cell_px, window_px, depths, best_sources, min_variance, active, plane, cost):
     """Try each of `depths` (n,), facing the camera, in every active cell; fills plane (rows, columns, 3) and cost."""
     flat = images.reshape(-1)
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
-    du, dv = window_offsets(cell_px, window_px)
+    du, dv = checkered_offsets(cell_px, window_px)
     patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
     warp = np.empty((len(sources), 12), np.float32)
     rows, columns = cost.shape
@@ -185,7 +200,7 @@ def sweep_depths(images, sizes, view, sources, m, t, cell_px, window_px, depths,
                 continue
             u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
             energy = load_patch(image, u, v, du, dv, patch)
-            if energy < min_energy:
+            if energy < min_variance * np.float32(patch.size):
                 active[row, column] = False
                 continue
             aim(m, t, u, v, warp)
@@ -209,7 +224,7 @@ def propagate(
     window_px,
     w_limits,
     best_sources,
-    min_energy,
+    min_variance,
     far_step,
     trials,
     reach_px,
@@ -230,7 +245,7 @@ def propagate(
     """
     flat = images.reshape(-1)
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
-    du, dv = window_offsets(cell_px, window_px)
+    du, dv = checkered_offsets(cell_px, window_px)
     patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
     warp = np.empty((len(sources), 12), np.float32)
     rows, columns = cost.shape
@@ -245,7 +260,7 @@ def propagate(
             continue
         u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
         energy = load_patch(image, u, v, du, dv, patch)
-        if energy < min_energy:
+        if energy < min_variance * np.float32(patch.size):
             active[row, column] = False
             continue
         aim(m, t, u, v, warp)
@@ -294,7 +309,7 @@ def descend(
     cell_px,
     window_px,
     best_sources,
-    min_energy,
+    min_variance,
     coarse_plane,
     coarse_active,
     active,
@@ -304,7 +319,7 @@ def descend(
     """Start a level from the one above: each cell takes the best of the four coarse planes around its centre."""
     flat = images.reshape(-1)
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
-    du, dv = window_offsets(cell_px, window_px)
+    du, dv = checkered_offsets(cell_px, window_px)
     patch, costs = np.empty(du.size, np.float32), np.empty(len(sources), np.float32)
     warp = np.empty((len(sources), 12), np.float32)
     rows, columns = cost.shape
@@ -317,7 +332,7 @@ def descend(
                 continue
             u, v = cell_px * column + 0.5 * (cell_px - 1), cell_px * row + 0.5 * (cell_px - 1)
             energy = load_patch(image, u, v, du, dv, patch)
-            if energy < min_energy:
+            if energy < min_variance * np.float32(patch.size):
                 active[row, column] = False
                 continue
             aim(m, t, u, v, warp)

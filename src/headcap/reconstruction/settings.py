@@ -53,20 +53,23 @@ class FusionSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     min_views: int = Field(2, ge=2, description="views that must agree on a point, its own included")
-    max_disparity_px: float = Field(0.7, gt=0, description="disagreement in depth, pixels of disparity between the two views")
+    max_disparity_px: float = Field(1.0, gt=0, description="disagreement in depth, pixels of disparity between the two views")
     max_normal_deg: float = Field(35.0, gt=0, le=180, description="largest angle between the normals of two views")
     max_viewing_deg: float = Field(78.0, gt=0, lt=90, description="a view that sees the surface more obliquely has no say")
     rim_cells: float = Field(
         1.5, ge=0, description="jump in depth, in cell widths, that makes a cell a rim: it makes no point; 0 keeps rims"
     )
     spacing_px: float = Field(
-        1.3, ge=0, description="least distance of two points, in pixels of the rig's median view; 0 keeps all"
+        1.2, ge=0, description="least distance of two points, in pixels of the rig's median view; 0 keeps all"
     )
     max_points: int = Field(200_000, ge=1000, description="spacing grows until no more points than this are left")
     box_m: tuple[tuple[float, float, float], tuple[float, float, float]] | None = Field(
         None, description="least and largest x, y, z of points in the world frame, metres"
     )
-    outlier_neighbours: int = Field(6, ge=0, description="points within three spacings that a point needs; 0 keeps all")
+    outlier_reach_px: float = Field(
+        4.0, gt=0, description="how far around a point, along its surface, others are counted, in pixels of the median view"
+    )
+    outlier_neighbours: int = Field(6, ge=0, description="points that must be there for a point to be kept; 0 keeps all")
 
 
 class ReconstructSettings(BaseModel):

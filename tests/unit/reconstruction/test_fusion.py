@@ -65,10 +65,13 @@ def test_thinning_keeps_distance_and_covers(rng):
     assert tree.query(points)[0].max() < 0.05
 
 
-def test_neighbour_counts(rng):
-    points = rng.uniform(0, 1, (800, 3))
-    expected = np.array([len(near) - 1 for near in cKDTree(points).query_ball_point(points, 0.1)])
-    np.testing.assert_array_equal(count_neighbours(points, 0.1), expected)
+def test_neighbours_are_counted_along_the_surface(rng):
+    points, normals = rng.uniform(0, 1, (800, 3)), rng.normal(size=(800, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    step = points[None] - points[:, None]
+    near = np.linalg.norm(step, axis=2) < 0.15
+    on_sheet = np.abs(np.einsum("ijk,ik->ij", step, normals)) <= 0.03
+    np.testing.assert_array_equal(count_neighbours(points, normals, 0.15, 0.03), (near & on_sheet).sum(1) - 1)
 
 
 def test_point_budget_is_kept(ball):

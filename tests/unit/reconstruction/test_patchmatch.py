@@ -60,6 +60,15 @@ def test_correlation_is_perfect_with_itself(ball):
     assert abs(cost) < 1e-4  # float32 sums of 64 squares of 8-bit levels
 
 
+def test_checkered_samples_are_half_of_all_and_reach_as_far():
+    every, half = (np.stack(f(2, 8)) for f in (patchmatch.window_offsets, patchmatch.checkered_offsets))
+    assert half.shape == (2, 32)
+    np.testing.assert_array_equal(half[:, [0, -1]], every[:, [0, -1]])
+    assert set(zip(*half, strict=True)) < set(zip(*every, strict=True))
+    assert not half.sum(1).any()  # balanced about the cell's centre
+    assert patchmatch.checkered_offsets(1, 7)[0].size == 25  # of 49: the corners' colour has one more
+
+
 def test_window_leaving_the_source_never_matches(ball):
     stacked, _, _, _ = _scene(ball)
     du, dv = patchmatch.window_offsets(2, 8)
@@ -88,7 +97,7 @@ def test_random_changes_are_accepted_and_never_raise_the_cost(ball):
         before = cost.copy()
         accepted.append(
             patchmatch.propagate(
-                stacked.images, stacked.sizes, 0, sources, m, t, 2, 8, limits, 2, np.float32(32), 0, 3, 1.0, 1e-3,
+                stacked.images, stacked.sizes, 0, sources, m, t, 2, 8, limits, 2, np.float32(0.5), 0, 3, 1.0, 1e-3,
                 np.uint64(sweep + 1), sweep % 2 == 1, settled, active, plane, cost,
             )
         )  # fmt: skip

@@ -7,9 +7,9 @@ import av
 import cv2
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from headcap.cameras import Camera, Rig
+from headcap.meshes.closest_point import Surface
 from headcap.reconstruction.frame import reconstruct_frame
 from headcap.reconstruction.photo_consistency import photo_consistency
 from headcap.reconstruction.settings import ReconstructSettings
@@ -67,16 +67,10 @@ def test_head_at_half_size(test_data):
     rig, images, vertices, faces = _still_frame(test_data / "ict_rig", "speech_01", [4, 5, 6, 7, 8, 9, 10, 11])
     settings = ReconstructSettings(engine="patchmatch", scale=0.5)
     cloud = reconstruct_frame(rig, images, time_s=0.3, settings=settings)
-    rng = np.random.default_rng(0)
-    corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    weights = rng.dirichlet(np.ones(3), 1_500_000)
-    samples = np.einsum("nc,ncd->nd", weights, corners[rng.choice(len(faces), len(weights), p=area / area.sum())])
-    tree = cKDTree(samples)
-    picked = rng.choice(len(cloud), 5000)
-    error_mm = tree.query(cloud.positions[picked])[0] * 1e3
-    # samples stand 0.4 mm apart, which adds 0.2 mm at a true distance of zero and little beyond; at half size a pixel is
-    # 0.92 mm, and the finest grain of bare skin, which holds the full-size tail at 0.3 mm, is averaged away
-    assert np.median(error_mm) < 0.3
-    assert np.quantile(error_mm, 0.9) < 1.3
+    error_mm = 1e3 * Surface(vertices, faces).closest(cloud.positions.astype(float)).distance
+    # A pixel is 0.9 mm at half size and sources stand 22 to 36 degrees apart, so a pixel of disparity is 0.9 / tan(angle) =
+    # 1.2 to 2.2 mm of depth, 1.8 at 27 degrees. Converged matches are good to a tenth of it; nine in ten must be within a half,
+    # which is what the windows of 7 mm are wrong by where skin bends inside them (nostrils, lids, lips).
+    assert np.median(error_mm) < 0.18
+    assert np.quantile(error_mm, 0.9) < 0.9
     assert len(cloud) > 15_000
