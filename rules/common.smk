@@ -116,6 +116,15 @@ def manual_offsets(wildcards):
     return session_of(wildcards).recorded(wildcards.take).offsets_s
 
 
+def all_manual_offsets(wildcards):
+    """Start times given by hand, by recording."""
+    session = session_of(wildcards)
+    return {
+        name: session.recorded(name).offsets_s
+        for name in (CALIBRATION, *takes(wildcards))
+    }
+
+
 def frames_asked(wildcards):
     frames = session_of(wildcards).recorded(wildcards.take).frames
     return list(frames) if frames else None

@@ -3,7 +3,7 @@ Probes the recordings of a take, or of the board, and refuses what cannot be use
 
 INPUTS:   files = one recording per camera
 OUTPUTS:  ingested = results/{session}/ingest/{recording}.json
-          checked  = results/{session}/ingest/session.check.json: all takes agree with the board's recordings
+          checked  = results/{session}/ingest/session.check.json: all takes agree with the board's recordings and no camera froze
           detections = results/{session}/calibrate/detections/{camera}.npz, the board in one camera's recording
 """
 
@@ -44,6 +44,9 @@ rule check_takes:
     resources:
         mem_mb=500,
     params:
+        manual_s=all_manual_offsets,
+        settings=setting("ingest"),
+        sync=setting("sync"),
         source=source("check_takes"),
     script:
         "../pipeline/check_takes.py"

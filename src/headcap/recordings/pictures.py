@@ -1,4 +1,4 @@
-"""A recording's picture judged from a few decoded frames: black, frozen, resized, broken at the end, a copy of another's."""
+"""A recording's pictures judged by decoding each once: black, frozen, resized, damaged, a copy of another's."""
 
 from __future__ import annotations
 
@@ -17,113 +17,127 @@ from headcap.recordings.probe import Recording, displayed_rotation_deg
 from headcap.recordings.settings import IngestSettings
 
 CELL_PX = 8
-# packets decoded in full before the end; those before may leave out frames that no other depends on
-LAST_PACKETS = 8
+# grey is judged on a grid of every fourth pixel: enough for what is black, and for telling two recordings apart
+STRIDE_PX = 4
 
 
 @dataclass(frozen=True)
-class PictureSamples:
-    """Frames decoded from across a recording and from its end."""
+class PictureSurvey:
+    """What all frames of a recording say together."""
 
-    cells: NDArray[np.float32]
-    """(n, rows, columns) mean grey of cells of 8x8 pixels, of frames of the first one's size."""
+    time_s: NDArray[np.float64]
+    """(n,) own times of the frames that decoded, rising."""
+    change: NDArray[np.float32]
+    """(n,) by how many grey values (0 to 255) the cell of 8x8 pixels that changed most differs from the frame before; 0 at
+    the first frame."""
+    spread: float
+    """Largest difference of any cell between any two frames, grey values."""
     brightest: float
     """Largest 99th percentile of grey over the frames."""
     sizes: frozenset[tuple[int, int, int]]
     """(width, height, rotation) as decoded."""
-    last_time_s: float
-    """Own time of the last frame that decoded."""
+    damaged_s: tuple[float, ...]
+    """Own times of frames that do not decode, or are marked as corrupt."""
     error: str
-    """What the decoder said, empty where it did not complain."""
+    """What the decoder said first, empty where it did not complain."""
     digest: str
     """Of the decoded pictures: two files with one digest show the same."""
 
 
-def sample_pictures(recording: Recording, settings: IngestSettings) -> PictureSamples:
-    """Decode some key frames and the run of frames up to the end; raises `InputError` where the file cannot be opened.
-
-    A run longer than `tail_frames_max` is too dear: its first second shows whether anything moves, and its packets
-    have been found whole by `probe`.
-    """
+def survey_pictures(recording: Recording) -> PictureSurvey:
+    """Decode every frame once, 2 to 4 ms each at half a megapixel; raises `InputError` where the file cannot be opened."""
     table = read_packets(recording.path)
-    keys = table.key_pts or table.pts[:1]
+    collector = _Collector()
     with open_media(recording.path) as container:
-        stream = video_stream(container, recording.path)
-        collector = _Collector()
-        try:
-            for frame in _key_frames(container, stream, keys, settings.key_frames_sampled):
-                collector.add(frame)
-            container.seek(keys[-1], stream=stream, backward=True)
-            tail = [packet for packet in container.demux(stream) if packet.size]
-            whole = len(tail) <= settings.tail_frames_max
-            for frame in _decode_sparsely(stream, tail if whole else tail[: round(recording.rate_hz)]):
-                collector.add(frame)
-        except (av.error.FFmpegError, StopIteration) as failure:
-            collector.error, whole = str(failure) or "a key frame does not decode", True
-        last_pts = collector.last_pts if whole else table.pts[-1]
-    return collector.samples(last_pts * table.time_base_s)
+        for frame in _frames(container, video_stream(container, recording.path), collector):
+            collector.add(frame)
+    lost = (set(table.pts) - set(collector.pts)) | collector.corrupt
+    return collector.survey(table.time_base_s, sorted(lost))
+
+
+def _frames(container: av.container.InputContainer, stream: av.VideoStream, collector: _Collector) -> Iterator[av.VideoFrame]:
+    """All frames that decode; what the decoder complains of is noted and passed over."""
+    try:
+        for packet in container.demux(stream):
+            try:
+                yield from packet.decode()
+            except av.error.FFmpegError as failure:
+                collector.complain(failure.strerror or str(failure))
+    except (av.error.FFmpegError, OSError) as failure:  # nothing more can be read
+        collector.complain(failure.strerror or str(failure))
 
 
 class _Collector:
-    """Gathers what `PictureSamples` holds, frame by frame."""
+    """Gathers what `PictureSurvey` holds, frame by frame."""
 
     def __init__(self) -> None:
-        self.cells, self.sizes, self.brightest, self.last_pts, self.error = [], set(), 0.0, 0, ""
-        self.digest = hashlib.sha256()
+        self.pts: list[int] = []
+        self.change: list[float] = []
+        self.sizes: set[tuple[int, int, int]] = set()
+        self.corrupt: set[int] = set()
+        self.brightest, self.error, self.digest = 0.0, "", hashlib.sha256()
+        self.before = self.low = self.high = None
+
+    def complain(self, what: str) -> None:
+        self.error = self.error or what
 
     def add(self, frame: av.VideoFrame) -> None:
+        if frame.is_corrupt:
+            self.corrupt.add(frame.pts)
+            self.complain("a frame is marked as corrupt")
         grey = frame.to_ndarray(format="gray")
-        coarse = grey[::4, ::4]
-        self.last_pts = max(self.last_pts, frame.pts)
-        self.sizes.add((frame.width, frame.height, displayed_rotation_deg(frame)))
-        self.error = self.error or ("a frame is marked as corrupt" if frame.is_corrupt else "")
+        coarse = grey[::STRIDE_PX, ::STRIDE_PX]
         self.brightest = max(self.brightest, float(np.percentile(coarse, 99)))
         self.digest.update(coarse.tobytes())
-        rows, columns = max(frame.height // CELL_PX, 1), max(frame.width // CELL_PX, 1)
+        self.sizes.add((frame.width, frame.height, displayed_rotation_deg(frame)))
+        columns, rows = max(frame.width // CELL_PX, 1), max(frame.height // CELL_PX, 1)
         cells = cv2.resize(grey.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-        if not self.cells or cells.shape == self.cells[0].shape:
-            self.cells.append(cells)
+        if self.before is None or self.before.shape != cells.shape:
+            self.before = self.low = self.high = cells
+        self.pts.append(frame.pts)
+        self.change.append(float(np.abs(cells - self.before).max()))
+        self.low, self.high, self.before = np.minimum(self.low, cells), np.maximum(self.high, cells), cells
 
-    def samples(self, last_time_s: float) -> PictureSamples:
-        cells, sizes = np.array(self.cells), frozenset(self.sizes)
-        return PictureSamples(cells, self.brightest, sizes, last_time_s, self.error, self.digest.hexdigest())
+    def survey(self, time_base_s: float, lost: list[int]) -> PictureSurvey:
+        return PictureSurvey(
+            time_s=np.array(self.pts) * time_base_s,
+            change=np.array(self.change, np.float32),
+            spread=float((self.high - self.low).max()) if self.pts else 0.0,
+            brightest=self.brightest,
+            sizes=frozenset(self.sizes),
+            damaged_s=tuple(pts * time_base_s for pts in lost),
+            error=self.error,
+            digest=self.digest.hexdigest(),
+        )
 
 
-def picture_problems(recording: Recording, samples: PictureSamples, settings: IngestSettings) -> list[InputError]:
-    """Everything wrong with one recording's picture, as errors to be told together."""
+def picture_problems(recording: Recording, survey: PictureSurvey, settings: IngestSettings) -> list[InputError]:
+    """Everything wrong with one recording's pictures, as errors to be told together."""
     found, name = [], f"{recording.camera} ({recording.path})"
-    missing_s = recording.frame_times_s[-1] - samples.last_time_s
-    if samples.error or missing_s > 0.5 / recording.rate_hz:
-        what = samples.error or f"the last {missing_s:.2f} s do not decode"
-        found.append(InputError(f"{name}: {what}", expected="frames that decode up to the end", remedy=COPY_AGAIN))
-    if len(samples.sizes) > 1:
-        sizes = ", ".join(f"{w}x{h} turned by {r}" for w, h, r in sorted(samples.sizes))
+    if survey.damaged_s or survey.error:
+        found.append(_damage(name, recording, survey))
+    if len(survey.sizes) > 1:
+        sizes = ", ".join(f"{w}x{h} turned by {r}" for w, h, r in sorted(survey.sizes))
         remedy = "Cut the file where the size changes and give the parts as takes of their own"
         found.append(InputError(f"{name} changes its picture: {sizes}", expected="one size throughout", remedy=remedy))
-    if samples.brightest < settings.black_level:
+    if survey.brightest < settings.black_level:
         remedy = "Take off the lens cap or light the scene; else leave this camera out of the take"
-        what = f"{name} is black: the brightest percent is {samples.brightest:.0f} of 255"
+        what = f"{name} is black: the brightest percent is {survey.brightest:.0f} of 255"
         found.append(InputError(what, expected=f"at least {settings.black_level:.0f}", remedy=remedy))
-    elif len(samples.cells) and len(samples.sizes) == 1:
-        change = float(np.ptp(samples.cells, axis=0).max())
-        if change < settings.frozen_level:
-            remedy = "Restart the camera; leave it out of this take"
-            what = f"{name} is frozen: no part of the picture changes by more than {change:.2f} grey values"
-            found.append(InputError(what, expected=f"at least {settings.frozen_level}", remedy=remedy))
+    elif len(survey.time_s) and len(survey.sizes) == 1 and survey.spread < settings.frozen_level:
+        remedy = "Restart the camera; leave it out of this take"
+        what = f"{name} is frozen: no part of the picture changes by more than {survey.spread:.2f} grey values"
+        found.append(InputError(what, expected=f"at least {settings.frozen_level}", remedy=remedy))
     return found
 
 
-def _key_frames(container, stream: av.VideoStream, keys: tuple[int, ...], wanted: int) -> Iterator[av.VideoFrame]:
-    """Single frames spread over the recording, the last key frame left to the tail."""
-    chosen = np.unique(np.linspace(0, len(keys) - 1, wanted).astype(int))[:-1]
-    for key in (keys[i] for i in chosen):
-        container.seek(key, stream=stream, backward=True)
-        yield next(container.decode(stream))
-
-
-def _decode_sparsely(stream: av.VideoStream, packets: list[av.Packet]) -> Iterator[av.VideoFrame]:
-    context = stream.codec_context
-    for number, packet in enumerate(packets):
-        context.skip_frame = "NONREF" if number < len(packets) - LAST_PACKETS else "DEFAULT"
-        yield from context.decode(packet)
-    yield from context.decode(None)
+def _damage(name: str, recording: Recording, survey: PictureSurvey) -> InputError:
+    """One error for all frames of a recording that do not decode."""
+    count = len(survey.damaged_s)
+    said = f" ({survey.error})" if survey.error else ""
+    if count:
+        at = ", the first" if count > 1 else ","
+        what = f"{count} of {len(recording.frame_times_s)} frames do not decode{at} at {survey.damaged_s[0]:.2f} s{said}"
+    else:
+        what = f"its pictures are damaged{said}"
+    return InputError(f"{name}: {what}", expected="frames that decode from the first to the last", remedy=COPY_AGAIN)

@@ -16,8 +16,16 @@ class IngestSettings(BaseModel):
     )
     frozen_level: float = Field(0.6, ge=0, description="grey value by which no part of a frozen picture ever changes")
     silence_level: float = Field(1e-4, ge=0, description="peak (full scale 1) that silent sound stays below")
-    key_frames_sampled: int = Field(6, ge=1, description="key frames decoded to judge a recording's picture")
-    tail_frames_max: int = Field(600, ge=1, description="longest run of frames up to the end that is decoded to check the end")
+    still_level: float = Field(
+        2.0, gt=0, description="grey value by which no part of a frame differs from the one before where nothing moves"
+    )
+    frozen_min_s: float = Field(
+        0.1, gt=0, description="shortest stretch without change, while other cameras see motion, that is told as a freeze"
+    )
+    start_spread_s: float = Field(
+        5.0, ge=0, description="cameras of a take start within this; sought when a freeze is compared with other cameras"
+    )
+    gap_max_s: float = Field(0.25, gt=0, description="longest gap in a recording's pictures; shorter ones are dropped frames")
     sound_checked_s: float = Field(120.0, gt=0, description="how much of the sound is listened to")
 
 

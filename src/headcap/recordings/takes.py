@@ -11,9 +11,11 @@ import numpy as np
 from headcap.artifacts import load_json, save_json
 from headcap.errors import InputError, InputErrors
 from headcap.recordings.audio import read_audio
-from headcap.recordings.pictures import picture_problems, sample_pictures
+from headcap.recordings.freezes import find_freezes
+from headcap.recordings.pictures import PictureSurvey, picture_problems, survey_pictures
 from headcap.recordings.probe import Recording, probe
 from headcap.recordings.settings import IngestSettings
+from headcap.recordings.timing import timing
 
 KIND, SCHEMA = "ingested_take", 1
 
@@ -26,7 +28,9 @@ class IngestedTake:
     kind: str
     recordings: tuple[Recording, ...]
     picture_digests: tuple[str, ...] = ()
-    """Per recording, of sampled pictures: equal ones show the same."""
+    """Per recording: equal ones show the same pictures."""
+    picture_changes: tuple[tuple[float, ...], ...] = ()
+    """Per recording and frame, grey values by which the part that changed most differs from the frame before."""
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -39,15 +43,17 @@ class IngestedTake:
     def save(self, path: Path | str) -> None:
         """Write as JSON artifact `headcap.ingested_take/1`."""
         recordings = [recording.to_json() for recording in self.recordings]
-        content = {"take": self.take, "kind": self.kind, "recordings": recordings, "picture_digests": list(self.picture_digests)}
-        save_json(path, KIND, SCHEMA, content)
+        content = {"take": self.take, "kind": self.kind, "recordings": recordings}
+        pictures = {"picture_digests": list(self.picture_digests), "picture_changes": list(map(list, self.picture_changes))}
+        save_json(path, KIND, SCHEMA, content | pictures)
 
     @classmethod
     def load(cls, path: Path | str) -> IngestedTake:
         """Read what `save` wrote; raises `ArtifactError`."""
         content = load_json(path, KIND, SCHEMA)
         recordings = tuple(Recording.from_json(document) for document in content["recordings"])
-        return cls(content["take"], content["kind"], recordings, tuple(content["picture_digests"]))
+        changes = tuple(map(tuple, content.get("picture_changes", ())))
+        return cls(content["take"], content["kind"], recordings, tuple(content["picture_digests"]), changes)
 
 
 def ingest_take(
@@ -69,15 +75,20 @@ def ingest_take(
     settings = settings or IngestSettings()
     problems, kept = [], []
     for camera, path in files.items():
-        found, recording, digest = _check_recording(camera, path, take, needs_sound, settings)
+        found, recording, survey = _check_recording(camera, path, take, needs_sound, settings)
         if recording is not None:
             found += _rate_problems(recording, rate_hz, settings) + _length_problems(recording, min_duration_s, min_frames)
-            kept.append((recording, digest))
+            found += _gap_problems(recording, settings)
+            kept.append((recording, survey))
         problems += found
-    problems += _copies({recording.camera: digest for recording, digest in kept if digest}, take)
+    digests = tuple("" if survey.brightest < settings.black_level else survey.digest for _, survey in kept)
+    problems += _copies({recording.camera: digest for (recording, _), digest in zip(kept, digests, strict=True) if digest}, take)
+    changes = tuple(tuple(np.round(survey.change.astype(float), 2).tolist()) for _, survey in kept)
+    ingested = IngestedTake(take, kind, tuple(recording for recording, _ in kept), digests, changes)
+    problems += freezes_of(ingested, settings)
     if problems:
         raise InputErrors(problems)
-    return IngestedTake(take, kind, tuple(r for r, _ in kept), tuple(d for _, d in kept))
+    return ingested
 
 
 def check_same_cameras(takes: Iterable[IngestedTake]) -> None:
@@ -106,6 +117,34 @@ def check_same_cameras(takes: Iterable[IngestedTake]) -> None:
         raise InputErrors(problems)
 
 
+def freezes_of(
+    take: IngestedTake, settings: IngestSettings | None = None, *, start_s: Mapping[str, float] | None = None
+) -> list[InputError]:
+    """Cameras whose pictures rest for a while although the others' change; see `find_freezes`.
+
+    With `start_s`, common time of each camera's own zero (a few milliseconds are good enough), short freezes and those in
+    takes with pauses are found as well. A recording of which not all frames decode is told of elsewhere.
+    """
+    settings = settings or IngestSettings()
+    rate_hz = float(np.median([recording.rate_hz for recording in take.recordings] or [1.0]))
+    changes = {
+        recording.camera: (np.array(recording.frame_times_s), np.array(change))
+        for recording, change in zip(take.recordings, take.picture_changes, strict=False)
+        if len(change) == len(recording.frame_times_s) and max(change) >= settings.frozen_level
+    }
+    remedy = "Restart the camera and record again; else cut the take (frames) or leave the camera out of it"
+    return [
+        InputError(
+            f"{freeze.camera} ({take[freeze.camera].path}) is frozen from {freeze.from_s:.2f} to {freeze.until_s:.2f} s:"
+            f" {freeze.frames} frames repeat one picture while {freeze.cameras_moving} of {freeze.cameras_compared} other"
+            " cameras see motion",
+            expected=f"no more than {settings.frozen_min_s:g} s",
+            remedy=remedy,
+        )
+        for freeze in find_freezes(changes, rate_hz, settings, start_s=start_s)
+    ]
+
+
 def _geometry(recording: Recording) -> str:
     turned = f" turned by {recording.rotation_deg} degrees" if recording.rotation_deg else ""
     return f"{recording.width}x{recording.height}{turned}"
@@ -113,22 +152,21 @@ def _geometry(recording: Recording) -> str:
 
 def _check_recording(
     camera: str, path: Path | str | None, take: str, needs_sound: bool, settings: IngestSettings
-) -> tuple[list[InputError], Recording | None, str]:
-    """Problems of one file that need no other file; the recording is None where it cannot be read at all."""
+) -> tuple[list[InputError], Recording | None, PictureSurvey | None]:
+    """Problems of one file that need no other file; recording and survey are None where it cannot be read at all."""
     if path is None or not Path(path).is_file():
         remedy = "Correct the path, or list the camera as absent from this take"
         found = f"{camera} has no recording in {take} ({path or 'no file given'})"
-        return [InputError(found, expected="one file per camera", remedy=remedy)], None, ""
+        return [InputError(found, expected="one file per camera", remedy=remedy)], None, None
     try:
         recording = replace(probe(path, camera), camera=camera)
-        samples = sample_pictures(recording, settings)
+        survey = survey_pictures(recording)
     except InputError as error:
-        return [InputError(f"{camera} of {take}: {error.found}", expected=error.expected, remedy=error.remedy)], None, ""
-    problems = picture_problems(recording, samples, settings)
+        return [InputError(f"{camera} of {take}: {error.found}", expected=error.expected, remedy=error.remedy)], None, None
+    problems = picture_problems(recording, survey, settings)
     if needs_sound:
         problems += _sound_problems(recording, settings)
-    black = samples.brightest < settings.black_level
-    return problems, recording, "" if black else samples.digest
+    return problems, recording, survey
 
 
 def _sound_problems(recording: Recording, settings: IngestSettings) -> list[InputError]:
@@ -166,6 +204,20 @@ def _length_problems(recording: Recording, min_duration_s: float | None, min_fra
     if min_frames is not None and frames < min_frames:
         problems.append(InputError(f"{name} has {frames} frames", expected=f"at least {min_frames}", remedy=remedy))
     return problems
+
+
+def _gap_problems(recording: Recording, settings: IngestSettings) -> list[InputError]:
+    """Missing frames in a row are one error, of the longest gap; shorter ones are bridged by later stages."""
+    longest = max(timing(recording).gaps, key=lambda gap: gap.missing_frames, default=None)
+    if longest is None or longest.missing_frames / recording.rate_hz <= settings.gap_max_s:
+        return []
+    until_s = recording.frame_times_s[longest.after_frame + 1]
+    found = (
+        f"{recording.camera} ({recording.path}) has no pictures from {longest.time_s:.2f} to {until_s:.2f} s:"
+        f" {longest.missing_frames} frames in a row are missing"
+    )
+    remedy = "Copy the file again; if the camera itself lost them, cut the take (frames) or leave the camera out of it"
+    return [InputError(found, expected=f"gaps of at most {settings.gap_max_s:g} s", remedy=remedy)]
 
 
 def _copies(digests: dict[str, str], take: str) -> list[InputError]:

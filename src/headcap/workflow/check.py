@@ -1,8 +1,9 @@
 """Ingest's checks of a whole session, without running anything."""
 
 from headcap.errors import InputError, InputErrors
-from headcap.recordings.takes import IngestedTake, check_same_cameras, ingest_take
+from headcap.recordings.takes import IngestedTake, check_same_cameras, freezes_of, ingest_take
 from headcap.settings import CALIBRATION, Session
+from headcap.sync.rough import rough_start_s
 
 
 def check_recordings(session: Session) -> str:
@@ -21,6 +22,9 @@ def check_recordings(session: Session) -> str:
         check_same_cameras(ingested)
     except InputErrors as error:
         errors += error.errors
+    for take in ingested:
+        start_s = rough_start_s(take, session.recorded(take.take).offsets_s, session.sync)
+        errors += freezes_of(take, session.ingest, start_s=start_s)
     if errors:
         raise InputErrors(errors)
     frames = sum(len(recording.frame_times_s) for take in ingested for recording in take.recordings)

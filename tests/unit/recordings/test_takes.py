@@ -1,11 +1,12 @@
 import re
 
+import av
 import numpy as np
 import pytest
 
 from headcap.errors import InputErrors
 from headcap.recordings import IngestedTake, ingest_take
-from headcap.recordings.takes import check_same_cameras
+from headcap.recordings.takes import check_same_cameras, freezes_of
 
 FRAMES, RATE = 24, 50
 
@@ -100,6 +101,55 @@ def test_a_still_scene_with_sensor_noise_is_not_frozen(good, write_video, slide,
     _ingest(good)
 
 
+def _frozen(pictures: list[np.ndarray], first: int, last: int) -> list[np.ndarray]:
+    return [*pictures[:first], *[pictures[first - 1]] * (last - first + 1), *pictures[last + 1 :]]
+
+
+def test_a_camera_that_freezes_in_mid_take(good, write_video, slide, sound) -> None:
+    good["cam1"] = write_video("stalls", _frozen(slide(FRAMES, seed=1), 9, 17), sound=sound)
+    found = r"cam1 .* is frozen from 0.1[68] to 0.3[246] s: \d+ frames repeat one picture while 2 of 2 other cameras see motion"
+    _is_one(_refused(good), found)
+
+
+def test_a_pause_of_the_subject_is_no_freeze(write_video, slide, sound) -> None:
+    files = {f"cam{c}": write_video(f"cam{c}", _frozen(slide(FRAMES, seed=c), 9 + c, 17 + c), sound=sound) for c in range(3)}
+    start_s = {f"cam{c}": -c / RATE for c in range(3)}
+    assert freezes_of(_ingest(files), start_s=start_s) == []
+
+
+def test_a_short_freeze_in_a_take_with_a_pause_shows_once_start_times_are_known(write_video, slide, sound) -> None:
+    pictures = {c: _frozen(slide(FRAMES + 16, seed=c), 4 + c, 14 + c) for c in range(3)}
+    pictures[2] = _frozen(pictures[2], 24, 31)
+    take = _ingest({f"cam{c}": write_video(f"cam{c}", pictures[c], sound=sound) for c in range(3)})
+    (error,) = freezes_of(take, start_s={f"cam{c}": -c / RATE for c in range(3)})
+    assert re.search(r"cam2 .* is frozen from 0.4\d to 0.6\d s", str(error))
+
+
+def test_a_gap_in_the_middle(good, write_video, slide, sound) -> None:
+    numbers = [k for k in range(FRAMES + 20) if not 8 <= k < 23]
+    good["cam2"] = write_video("gap", [slide(FRAMES + 20, seed=2)[k] for k in numbers], numbers=numbers, sound=sound)
+    messages = _refused(good)
+    _is_one(
+        messages, r"cam2 .* has no pictures from 0.14 to 0.46 s: 15 frames in a row are missing; expected gaps of at most 0.25 s"
+    )
+
+
+def _damage(path, number: int) -> None:
+    """Overwrite the packet of one frame with zeros."""
+    with av.open(str(path)) as container:
+        packets = [(packet.pts, packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+    _, place, size = sorted(packets)[number]
+    data = bytearray(path.read_bytes())
+    data[place : place + size] = bytes(size)
+    path.write_bytes(data)
+
+
+def test_damage_in_the_middle(good) -> None:
+    _damage(good["cam1"], 13)
+    found = r"cam1 .*: (1|\d+) of 24 frames do not decode,.* at 0.2\d s \(.*\); expected frames that decode from the first to the"
+    _is_one(_refused(good), found)
+
+
 def test_two_cameras_given_one_file(good, tmp_path) -> None:
     copy = tmp_path / "copy.mp4"
     copy.write_bytes(good["cam0"].read_bytes())
@@ -121,7 +171,7 @@ def test_frames_that_do_not_decode_at_the_end(good, write_video, sound, rng) -> 
     data[-len(data) // 12 :] = bytes(len(data) - (len(data) - len(data) // 12) + (1 if len(data) % 12 else 0))
     path.write_bytes(bytes(data))
     good["cam1"] = path
-    _is_one(_refused(good, needs_sound=False), r"cam1 .*expected frames that decode up to the end")
+    _is_one(_refused(good, needs_sound=False), r"cam1 .*do not decode.*expected frames that decode from the first to the last")
 
 
 def test_all_problems_are_told_at_once(good, write_video, slide, tmp_path) -> None:
