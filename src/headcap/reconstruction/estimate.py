@@ -26,6 +26,7 @@ from headcap.reconstruction.views import (
     subject_centre,
 )
 from headcap.reconstruction.visibility import best_views
+from headcap.reconstruction.windows import NO_MATCH
 
 Mesh = tuple[NDArray, NDArray]
 """Vertices (n, 3) in the world, triangles (m, 3)."""
@@ -43,8 +44,9 @@ class _Planes:
 
     @classmethod
     def empty(cls, active: NDArray[np.bool_]) -> _Planes:
+        """No hypothesis yet in cells (rows, columns), of which those that are `active` will get one."""
         shape = active.shape
-        cost = np.full(shape, patchmatch.NO_MATCH, np.float32)
+        cost = np.full(shape, NO_MATCH, np.float32)
         return cls(np.zeros((*shape, 3), np.float32), cost, np.zeros(shape, np.float32), active, np.zeros(shape, np.uint8))
 
 
@@ -145,7 +147,7 @@ class _Matcher:
             searched &= ~seen
         depths = 1 / np.linspace(self.w_limits[0], self.w_limits[1], matching.depth_planes + 2)[1:-1]
         patchmatch.sweep_depths(*geometry, depths, matching.best_sources, self.min_variance, searched, planes.plane, planes.cost)
-        planes.active &= (planes.cost < patchmatch.NO_MATCH) | (planes.plane[..., 0] > 0)
+        planes.active &= (planes.cost < NO_MATCH) | (planes.plane[..., 0] > 0)
         for sweep in range(matching.coarse_sweeps):
             self._propagate(index, planes, sweep, reach_px=2.0 * 0.7**sweep, slope_reach=1.5 * 0.7**sweep)
         self._refine(index, planes, self.settings.refinement.coarse_sweeps)

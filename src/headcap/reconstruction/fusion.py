@@ -9,11 +9,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from headcap.reconstruction.maps import DepthMap
-from headcap.reconstruction.patchmatch import JIT
 from headcap.reconstruction.points import PointCloud
 from headcap.reconstruction.rims import doubt_rims
 from headcap.reconstruction.settings import FusionSettings
 from headcap.reconstruction.visibility import BASE_ANGLE_DEG, MapStack, surface_beside
+from headcap.reconstruction.windows import JIT
 
 SHEET_SHARE = 0.2
 """Half the thickness of the sheet along a point's tangent plane in which its neighbours lie, as a share of the reach: skin

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from headcap.cameras import Camera
 from headcap.errors import InputError
-from headcap.reconstruction.patchmatch import JIT
 from headcap.reconstruction.points import PointCloud
+from headcap.reconstruction.windows import JIT
 
 
 def photo_consistency(cloud: PointCloud, camera: Camera, image_bgr: NDArray[np.uint8], *, window_px: int = 11) -> float:
@@ -64,6 +64,7 @@ def _splat(pixels, depth, grey, nearest, image, weight):
 
 def _masked_correlation(a: NDArray, b: NDArray, covered: NDArray[np.bool_], window_px: int) -> NDArray[np.float64]:
     def total(values: NDArray) -> NDArray:
+        """Sum over the covered pixels of the window around each pixel."""
         return cv2.boxFilter(np.where(covered, values, 0).astype(np.float64), -1, (window_px, window_px), normalize=False)
 
     n = np.maximum(total(np.ones(a.shape)), 1)

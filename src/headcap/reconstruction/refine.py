@@ -14,8 +14,8 @@ import math
 import numpy as np
 from numba import njit
 
-from headcap.reconstruction.patchmatch import (
-    FROZEN,
+from headcap.reconstruction.patchmatch import FROZEN
+from headcap.reconstruction.windows import (
     JIT,
     aim,
     correlate,
@@ -26,20 +26,10 @@ from headcap.reconstruction.patchmatch import (
 )
 
 
-@njit(**JIT)
-def sample_system(flat, start, stride, width, height, warp, s, w, a, b, du, dv, patch, energy, unit, system):
-    """Normal equations of source `s`, in steps of `unit` of (w, a, b), in squared grey levels per window.
-
-    `system` (n_sources, 11) receives in row s: the upper triangle of J^T J (00 01 02 11 12 22), J^T r (3), the residual's
-    sum of squares after gain and offset, and the correlation. Returns false where the window leaves the source.
-    """
-    x0, y0, z0 = warp[s, 0] + warp[s, 9] * w, warp[s, 1] + warp[s, 10] * w, warp[s, 2] + warp[s, 11] * w
-    xu, yu, zu = warp[s, 3] + warp[s, 9] * a, warp[s, 4] + warp[s, 10] * a, warp[s, 5] + warp[s, 11] * a
-    xv, yv, zv = warp[s, 6] + warp[s, 9] * b, warp[s, 7] + warp[s, 10] * b, warp[s, 8] + warp[s, 11] * b
-    if not window_inside(x0, y0, z0, xu, yu, zu, xv, yv, zv, du[-1], width, height):
-        return False
+@njit(inline="always")
+def _sum_samples(flat, start, stride, x0, y0, z0, xu, yu, zu, xv, yv, zv, tx, ty, tz, du, dv, patch):
+    """Sums over a window's samples: of values v and patch r, of the rates J by (w, a, b), and of their products."""
     one, zero, right, down = np.float32(1.0), np.float32(0.0), np.uint32(1), np.uint32(stride)
-    tx, ty, tz = warp[s, 9] * unit, warp[s, 10] * unit, warp[s, 11] * unit
     s_v, s_vv, s_rv = zero, zero, zero
     g0, g1, g2 = zero, zero, zero
     v0, v1, v2 = zero, zero, zero
@@ -80,9 +70,17 @@ def sample_system(flat, start, stride, width, height, warp, s, w, a, b, du, dv, 
         h11 += rate_u * rate_u
         h12 += rate_u * rate_v
         h22 += rate_v * rate_v
-    over_n = one / np.float32(patch.size)
+    return (s_v, s_vv, s_rv), (g0, g1, g2), (v0, v1, v2), (r0, r1, r2), (h00, h01, h02, h11, h12, h22)
+
+
+@njit(inline="always")
+def _take_out_gain(sums, size, energy, s, system):
+    """Turn sums into row `s` of a system, gain and offset taken out; false where the source shows nothing."""
+    (s_v, s_vv, s_rv), (g0, g1, g2), (v0, v1, v2), (r0, r1, r2), (h00, h01, h02, h11, h12, h22) = sums
+    one, zero = np.float32(1.0), np.float32(0.0)
+    over_n = one / np.float32(size)
     variance = s_vv - s_v * s_v * over_n
-    if variance <= np.float32(1e-3) * np.float32(patch.size):
+    if variance <= np.float32(1e-3) * np.float32(size):
         return False
     gain = max(s_rv / variance, zero)
     v0 -= s_v * g0 * over_n
@@ -101,6 +99,23 @@ def sample_system(flat, start, stride, width, height, warp, s, w, a, b, du, dv, 
     system[s, 9] = energy - gain * s_rv
     system[s, 10] = s_rv / math.sqrt(variance * energy)
     return True
+
+
+@njit(**JIT)
+def sample_system(flat, start, stride, width, height, warp, s, w, a, b, du, dv, patch, energy, unit, system):
+    """Normal equations of source `s`, in steps of `unit` of (w, a, b), in squared grey levels per window.
+
+    `system` (n_sources, 11) receives in row s: the upper triangle of J^T J (00 01 02 11 12 22), J^T r (3), the residual's
+    sum of squares after gain and offset, and the correlation. Returns false where the window leaves the source.
+    """
+    x0, y0, z0 = warp[s, 0] + warp[s, 9] * w, warp[s, 1] + warp[s, 10] * w, warp[s, 2] + warp[s, 11] * w
+    xu, yu, zu = warp[s, 3] + warp[s, 9] * a, warp[s, 4] + warp[s, 10] * a, warp[s, 5] + warp[s, 11] * a
+    xv, yv, zv = warp[s, 6] + warp[s, 9] * b, warp[s, 7] + warp[s, 10] * b, warp[s, 8] + warp[s, 11] * b
+    if not window_inside(x0, y0, z0, xu, yu, zu, xv, yv, zv, du[-1], width, height):
+        return False
+    tx, ty, tz = warp[s, 9] * unit, warp[s, 10] * unit, warp[s, 11] * unit
+    sums = _sum_samples(flat, start, stride, x0, y0, z0, xu, yu, zu, xv, yv, zv, tx, ty, tz, du, dv, patch)
+    return _take_out_gain(sums, patch.size, energy, s, system)
 
 
 @njit(**JIT)
@@ -161,27 +176,9 @@ def neighbour_prior(plane, active, row, column, cell_px, unit, w, a, b, sigma, s
 
 @njit(**JIT)
 def _assemble(
-    flat,
-    area,
-    stride,
-    sizes,
-    sources,
-    warp,
-    w,
-    a,
-    b,
-    du,
-    dv,
-    patch,
-    energy,
-    unit,
-    noise2,
-    weights,
-    correlation,
-    system,
-    h,
+    flat, area, stride, sizes, sources, warp, w, a, b, du, dv, patch, energy, unit, noise2, weights, correlation, system, h,
     g,
-):
+):  # fmt: skip
     """Weigh the sources and sum their systems into h, g; returns the weighted energy."""
     n = len(sources)
     h[:], g[:] = 0.0, 0.0
@@ -190,23 +187,9 @@ def _assemble(
         source = sources[s]
         correlation[s] = -1.0
         if sample_system(
-            flat,
-            source * area,
-            stride,
-            sizes[source, 0],
-            sizes[source, 1],
-            warp,
-            s,
-            w,
-            a,
-            b,
-            du,
-            dv,
-            patch,
-            energy,
-            unit,
+            flat, source * area, stride, sizes[source, 0], sizes[source, 1], warp, s, w, a, b, du, dv, patch, energy, unit,
             system,
-        ):
+        ):  # fmt: skip
             correlation[s] = system[s, 10]
             best = max(best, system[s, 10])
     total = np.float32(0.0)
@@ -241,28 +224,62 @@ def _weighted_energy(flat, area, stride, sizes, sources, warp, w, a, b, du, dv, 
     return total
 
 
+@njit(inline="always")
+def _memory(n, samples):
+    """Patch, warp, weights, correlation, systems of `n` sources, and their sum h, g and its solution."""
+    patch, warp = np.empty(samples, np.float32), np.empty((n, 12), np.float32)
+    weights, correlation, system = np.zeros(n, np.float32), np.zeros(n, np.float32), np.empty((n, 11), np.float32)
+    h, g, step = np.empty(6, np.float32), np.empty(3, np.float32), np.zeros(3, np.float32)
+    return patch, warp, weights, correlation, system, h, g, step
+
+
+@njit(inline="always")
+def _sum_weights(weights, correlation):
+    """Sum of the sources' weights, and of weight times correlation."""
+    trust, mean = np.float32(0.0), np.float32(0.0)
+    for s in range(len(weights)):
+        trust += weights[s]
+        mean += weights[s] * correlation[s]
+    return trust, mean
+
+
+@njit(inline="always")
+def _damp(h):
+    """Raise the diagonal a little (Levenberg): a window without texture along one direction stays where it is along it."""
+    h[0] += np.float32(1e-3) * h[0] + np.float32(1e-4)
+    h[3] += np.float32(1e-3) * h[3] + np.float32(1e-4)
+    h[5] += np.float32(1e-3) * h[5] + np.float32(1e-4)
+
+
+@njit(inline="always")
+def _limit(step):
+    """Shorten a step to at most a pixel of disparity: farther away the linear system says nothing."""
+    if abs(step[0]) > 1.0:
+        shrink = np.float32(1.0) / abs(step[0])
+        step[0] *= shrink
+        step[1] *= shrink
+        step[2] *= shrink
+
+
+@njit(inline="always")
+def _settle(settled, row, column, converged):
+    """Leave a converged cell alone from now on; wake the neighbours of one that moved."""
+    rows, columns = settled.shape
+    if converged:
+        settled[row, column] = 1
+    else:
+        for k in range(4):
+            r = row + (k - 2 if k % 2 == 1 else 0)
+            c = column + (k - 1 if k % 2 == 0 else 0)
+            if r >= 0 and c >= 0 and r < rows and c < columns and settled[r, c] != FROZEN:
+                settled[r, c] = 0
+
+
 @njit(**JIT)
 def refine_sweep(
-    images,
-    sizes,
-    view,
-    sources,
-    m,
-    t,
-    cell_px,
-    window_px,
-    noise_grey,
-    sigma,
-    sigma_slope,
-    limit,
-    converged,
-    backward,
-    active,
-    settled,
-    plane,
-    cost,
-    spread,
-):
+    images, sizes, view, sources, m, t, cell_px, window_px, noise_grey, sigma, sigma_slope, limit, converged, backward,
+    active, settled, plane, cost, spread,
+):  # fmt: skip
     """One sweep of damped Gauss-Newton steps over all active cells, each step kept only if it lowers the energy.
 
     `settled` (rows, columns) uint8 is set to 1 where the step was below `converged` pixels and cleared around cells that
@@ -273,11 +290,7 @@ def refine_sweep(
     flat = images.reshape(-1)
     area, stride = images.shape[1] * images.shape[2], images.shape[2]
     du, dv = window_offsets(cell_px, window_px)
-    n = len(sources)
-    patch = np.empty(du.size, np.float32)
-    weights, correlation = np.zeros(n, np.float32), np.zeros(n, np.float32)
-    system, warp = np.empty((n, 11), np.float32), np.empty((n, 12), np.float32)
-    h, g, step = np.empty(6, np.float32), np.empty(3, np.float32), np.zeros(3, np.float32)
+    patch, warp, weights, correlation, system, h, g, step = _memory(len(sources), du.size)
     rows, columns = cost.shape
     image = images[view, : sizes[view, 1], : sizes[view, 0]]
     noise2 = np.float32(noise_grey * noise_grey)
@@ -294,61 +307,27 @@ def refine_sweep(
         aim(m, t, u, v, warp)
         unit = pixel_of_disparity(warp, w)
         before = _assemble(
-            flat,
-            area,
-            stride,
-            sizes,
-            sources,
-            warp,
-            w,
-            a,
-            b,
-            du,
-            dv,
-            patch,
-            energy,
-            unit,
-            noise2,
-            weights,
-            correlation,
-            system,
-            h,
-            g,
-        )
-        trust, mean = np.float32(0.0), np.float32(0.0)
-        for s in range(n):
-            trust += weights[s]
-            mean += weights[s] * correlation[s]
+            flat, area, stride, sizes, sources, warp, w, a, b, du, dv, patch, energy, unit, noise2, weights, correlation,
+            system, h, g,
+        )  # fmt: skip
+        trust, mean = _sum_weights(weights, correlation)
         if trust <= 0.0:
             active[row, column] = False
             continue
         cost[row, column] = np.float32(1.0) - mean / trust
         before += neighbour_prior(plane, active, row, column, cell_px, unit, w, a, b, sigma, sigma_slope, limit, h, g)
-        h[0] += np.float32(1e-3) * h[0] + np.float32(1e-4)
-        h[3] += np.float32(1e-3) * h[3] + np.float32(1e-4)
-        h[5] += np.float32(1e-3) * h[5] + np.float32(1e-4)
+        _damp(h)
         spread[row, column] = unit / math.sqrt(h[0])
         if not solve3(h, g, step):
             continue
-        if abs(step[0]) > 1.0:
-            shrink = np.float32(1.0) / abs(step[0])
-            step[0] *= shrink
-            step[1] *= shrink
-            step[2] *= shrink
+        _limit(step)
         nw, na, nb = w + unit * step[0], a + unit * step[1], b + unit * step[2]
         after = _weighted_energy(flat, area, stride, sizes, sources, warp, nw, na, nb, du, dv, patch, energy, weights)
         after += neighbour_prior(plane, active, row, column, cell_px, unit, nw, na, nb, sigma, sigma_slope, limit, h, g)
         if after < before:
             accepted += 1
             plane[row, column, 0], plane[row, column, 1], plane[row, column, 2] = nw, na, nb
-            if abs(step[0]) < converged:
-                settled[row, column] = 1
-            else:
-                for k in range(4):
-                    r = row + (k - 2 if k % 2 == 1 else 0)
-                    c = column + (k - 1 if k % 2 == 0 else 0)
-                    if r >= 0 and c >= 0 and r < rows and c < columns and settled[r, c] != FROZEN:
-                        settled[r, c] = 0
+            _settle(settled, row, column, abs(step[0]) < converged)
         else:
             rejected += 1
             settled[row, column] = 1

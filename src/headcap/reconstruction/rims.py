@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from headcap.reconstruction.maps import DepthMap
-from headcap.reconstruction.patchmatch import JIT
+from headcap.reconstruction.windows import JIT
 
 DOUBT = 5.0
 """Factor on the standard deviation of rim cells: they still vote, at 1/25 of the weight."""

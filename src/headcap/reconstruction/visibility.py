@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from headcap.geometry.transforms import invert
 from headcap.reconstruction.maps import DepthMap
-from headcap.reconstruction.patchmatch import JIT
 from headcap.reconstruction.settings import ReconstructSettings
+from headcap.reconstruction.windows import JIT
 
 BASE_ANGLE_DEG = 20.0
 """Angle between two views at which a pixel of disparity is reckoned in metres; `choose_sources` prefers it."""

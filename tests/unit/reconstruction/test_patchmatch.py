@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from headcap.reconstruction import patchmatch
+from headcap.reconstruction import patchmatch, windows
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.reconstruction.views import build_level, choose_sources, pair_geometry, pinhole_views, subject_centre
 
@@ -20,7 +20,7 @@ def _scene(ball, *, level=0, view=0):
 def _warp(m):
     """The warp of a cell at (100.5, 120.5) by a homography that does not depend on depth."""
     warp = np.empty((1, 12), np.float32)
-    patchmatch.aim(m[None], np.zeros((1, 3)), 100.5, 120.5, warp)
+    windows.aim(m[None], np.zeros((1, 3)), 100.5, 120.5, warp)
     return warp
 
 
@@ -49,11 +49,11 @@ def test_warp_of_a_plane_is_the_projection_of_its_points(ball):
 
 def test_correlation_is_perfect_with_itself(ball):
     stacked, _, _, _ = _scene(ball)
-    du, dv = patchmatch.window_offsets(2, 8)
+    du, dv = windows.window_offsets(2, 8)
     patch = np.empty(64, np.float32)
-    energy = patchmatch.load_patch(stacked.images[0], 100.5, 120.5, du, dv, patch)
+    energy = windows.load_patch(stacked.images[0], 100.5, 120.5, du, dv, patch)
     height, width = stacked.images.shape[1:]
-    cost = patchmatch.correlate(
+    cost = windows.correlate(
         stacked.images.reshape(-1), 0, width, width, height, _warp(np.eye(3)), 0,
         np.float32(1), np.float32(0), np.float32(0), du, dv, patch, energy,
     )  # fmt: skip
@@ -61,27 +61,27 @@ def test_correlation_is_perfect_with_itself(ball):
 
 
 def test_checkered_samples_are_half_of_all_and_reach_as_far():
-    every, half = (np.stack(f(2, 8)) for f in (patchmatch.window_offsets, patchmatch.checkered_offsets))
+    every, half = (np.stack(f(2, 8)) for f in (windows.window_offsets, windows.checkered_offsets))
     assert half.shape == (2, 32)
     np.testing.assert_array_equal(half[:, [0, -1]], every[:, [0, -1]])
     assert set(zip(*half, strict=True)) < set(zip(*every, strict=True))
     assert not half.sum(1).any()  # balanced about the cell's centre
-    assert patchmatch.checkered_offsets(1, 7)[0].size == 25  # of 49: the corners' colour has one more
+    assert windows.checkered_offsets(1, 7)[0].size == 25  # of 49: the corners' colour has one more
 
 
 def test_window_leaving_the_source_never_matches(ball):
     stacked, _, _, _ = _scene(ball)
-    du, dv = patchmatch.window_offsets(2, 8)
+    du, dv = windows.window_offsets(2, 8)
     patch = np.empty(64, np.float32)
-    energy = patchmatch.load_patch(stacked.images[0], 100.5, 120.5, du, dv, patch)
+    energy = windows.load_patch(stacked.images[0], 100.5, 120.5, du, dv, patch)
     height, width = stacked.images.shape[1:]
     aside = np.eye(3)
     aside[0, 2] = 97.0  # 100.5 + 97 + half a window is beyond the last column
-    cost = patchmatch.correlate(
+    cost = windows.correlate(
         stacked.images.reshape(-1), 0, width, width, height, _warp(aside), 0,
         np.float32(1), np.float32(0), np.float32(0), du, dv, patch, energy,
     )  # fmt: skip
-    assert cost == patchmatch.NO_MATCH
+    assert cost == windows.NO_MATCH
 
 
 def test_random_changes_are_accepted_and_never_raise_the_cost(ball):
@@ -89,7 +89,7 @@ def test_random_changes_are_accepted_and_never_raise_the_cost(ball):
     active = np.ones((60, 50), bool)
     plane = np.zeros((60, 50, 3), np.float32)
     plane[..., 0] = 1 / 0.72
-    cost = np.full((60, 50), patchmatch.NO_MATCH, np.float32)
+    cost = np.full((60, 50), windows.NO_MATCH, np.float32)
     settled = np.zeros((60, 50), np.uint8)
     limits = np.array([1 / 0.95, 1 / 0.65], np.float32)
     accepted = []

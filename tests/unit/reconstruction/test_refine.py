@@ -5,9 +5,9 @@ import pytest
 
 from headcap.reconstruction import refine
 from headcap.reconstruction.maps import cell_camera
-from headcap.reconstruction.patchmatch import aim, correlate, load_patch, pixel_of_disparity, window_offsets
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.reconstruction.views import build_level, choose_sources, pair_geometry, pinhole_views, subject_centre
+from headcap.reconstruction.windows import aim, correlate, load_patch, pixel_of_disparity, window_offsets
 
 
 @pytest.fixture(scope="module")
