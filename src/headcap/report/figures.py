@@ -190,11 +190,13 @@ def error_curves(errors: TrackingErrors, limits: dict[str, float | None]) -> Ima
                 if (limit := limits.get(f"track.{key}_{part}_mm")) is not None:
                     panel.axhline(limit, color=colour, linewidth=0.8, linestyle="--")
             panel.set(title=title, xlabel="frame", ylabel="mm", ylim=(0, None))
+            panel.set(ylim=(0, 1.35 * panel.get_ylim()[1]))
             panel.legend(loc="upper left")
         if has_lips:
             axes[2].plot(errors.frames, errors.true_lip_gap_mm, color=INK, label="true")
             axes[2].plot(errors.frames, errors.lip_gap_mm, color=ACCENT, label="tracked")
             axes[2].set(title="Distance of the inner lips", xlabel="frame", ylabel="mm", ylim=(0, None))
+            axes[2].set(ylim=(0, 1.35 * axes[2].get_ylim()[1]))
             axes[2].legend(loc="upper left")
     return out[0]
 
@@ -219,7 +221,9 @@ def residual_curves(residuals: TrackResiduals) -> Image:
             axes.plot(frames, values, color=ACCENT)
             worst = int(np.argmax(values))
             axes.plot(worst, values[worst], "o", markersize=4, color=SECOND)
-            axes.annotate(f"frame {worst}: {values[worst]:.3g}", (worst, values[worst]), (0, 5), textcoords="offset points")
+            side = "left" if worst < len(residuals) / 2 else "right"
+            told = f"frame {worst}: {values[worst]:.3g}"
+            axes.annotate(told, (worst, values[worst]), (0, 5), textcoords="offset points", ha=side)
             axes.set(title=_RESIDUALS.get(name, name), xlabel="frame", ylabel=unit_of(f"track.{name}"))
             axes.set(ylim=(0, 1.25 * max(float(np.max(values)), 1e-9)), xlim=(-0.5, len(residuals) - 0.5))
     return out[0]
@@ -228,17 +232,18 @@ def residual_curves(residuals: TrackResiduals) -> Image:
 def error_histogram(error_mm: NDArray, limits: dict[str, float | None], *, title: str) -> Image:
     """Distribution of distances with their median and 95th percentile."""
     known = error_mm[np.isfinite(error_mm)]
-    with _sheet(4.0, 2.3) as (figure, out):
+    with _sheet(8.2, 1.9) as (figure, out):
         axes = figure.subplots()
-        axes.hist(known, 60, range=(0, max(1e-6, 1.5 * np.percentile(known, 95))), color=ACCENT)
-        for percentile, name in ((50, "median"), (95, "95th percentile")):
+        reach = max(1e-6, 1.5 * np.percentile(known, 95))
+        axes.hist(known, 80, range=(0, reach), color=FAINT)
+        for percentile, part, name, colour in ((50, "median", "median", ACCENT), (95, "p95", "95th percentile", SECOND)):
             value = np.percentile(known, percentile)
-            axes.axvline(value, color=INK, linewidth=1)
-            axes.text(value, axes.get_ylim()[1] * (0.97 if percentile == 50 else 0.8), f" {name} {value:.3f}", va="top")
-        for limit in limits.values():
+            axes.axvline(value, color=colour, label=f"{name}: {value:.3f} mm")
+            limit = next((limit for key, limit in limits.items() if key.endswith(f"_{part}_mm") and limit is not None), None)
             if limit is not None:
-                axes.axvline(limit, color=WARNING, linewidth=0.9, linestyle="--")
-        axes.set(title=title, xlabel="mm", yticks=[])
+                axes.axvline(limit, color=colour, linewidth=0.9, linestyle="--", label=f"its limit: {limit:.3g} mm")
+        axes.set(title=title, xlabel="mm", yticks=[], xlim=(0, None))
+        axes.legend(loc="upper center", framealpha=1, frameon=True, edgecolor="white")
     return out[0]
 
 

@@ -200,7 +200,7 @@ def _sync(take: TakeReport, inputs: ReportInputs) -> list[_Shown]:
     shown = [_Shown(png_uri(image), f"start times of {take.take}", wide=True)]
     if take.sync_figure is not None:
         caption = "the clap in every camera's sound, and by how much each pair of cameras disagrees with the start times"
-        shown.append(_Shown(png_uri(take.sync_figure), caption, wide=True))
+        shown.append(_Shown(png_uri(take.sync_figure, 256), caption, wide=True))
     return shown
 
 
@@ -224,7 +224,7 @@ def _register(register: RegisterReport, inputs: ReportInputs) -> list[_Shown]:
     shown = [_Shown(jpeg_uri(panel.image), panel.caption) for panel in panels]
     if register.error_mm is not None:
         image = diagrams.error_histogram(register.error_mm, _limits(inputs, "register"), title="Template to scan")
-        shown.append(_Shown(png_uri(image), "template vertices to the scan's surface"))
+        shown.append(_Shown(png_uri(image), "template vertices to the scan's surface", wide=True))
     return shown
 
 
@@ -240,7 +240,8 @@ def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], l
         if close_up is not None:
             rows[-1].append(_Shown(jpeg_uri(close_up.image), close_up.caption, wide=True))
     if take.errors is not None and template is not None:
-        over_time.append(_Shown(png_uri(diagrams.error_curves(take.errors, _limits(inputs, "track"))), "over time", wide=True))
+        caption = "against truth, frame by frame; dashed: limits of the take's median and 95th percentile"
+        over_time.append(_Shown(png_uri(diagrams.error_curves(take.errors, _limits(inputs, "track"))), caption, wide=True))
         maps = pictures.error_over_time(take.errors, take.neutral, template.triangles)
         over_time += [_Shown(jpeg_uri(panel.image), panel.caption) for panel in maps]
     if take.gaps is not None:

@@ -120,7 +120,7 @@ def draw_wire(image: Image, camera: Camera, vertices: NDArray, triangles: NDArra
     lines = np.rint(pixels[edges] * 16).astype(np.int32)
     layer = image.copy()
     cv2.polylines(layer, list(lines), False, ACCENT, 1, cv2.LINE_AA, shift=4)
-    return cv2.addWeighted(layer, 0.5, image, 0.5, 0)
+    return cv2.addWeighted(layer, 0.35, image, 0.65, 0)
 
 
 def draw_values(

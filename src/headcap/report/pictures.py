@@ -29,6 +29,7 @@ from headcap.report.overlays import (
 
 Image = NDArray[np.uint8]
 _PANEL_ASPECT = 0.8
+_SHOWN_PX = 12.0
 SURFACE_TOP_MM, DRIFT_TOP_MM, SCAN_TOP_MM = 0.5, 1.0, 0.5
 
 
@@ -56,7 +57,7 @@ def frame_panels(view: FrameView, triangles: NDArray, *, height: int = 460) -> l
     return panels
 
 
-def mouth_close_up(view: FrameView, template: Template, *, height: int = 300) -> Picture | None:
+def mouth_close_up(view: FrameView, template: Template, *, height: int = 420) -> Picture | None:
     """The mesh's edges over the photograph's lips; None where the template names no lips or the view has none."""
     lips = np.zeros(len(template.vertices), bool)
     for name in ("lips_upper", "lips_lower"):
@@ -145,18 +146,38 @@ def _textured_view(template: Template, camera: Camera) -> Image:
 
 
 def board_overlay(picture: BoardPicture, *, height: int = 420) -> Picture:
-    """Corners found (rings) and predicted (crosses); where they differ, the difference is drawn ten times as long."""
-    scale = height / picture.photograph.shape[0]
-    size = round(picture.photograph.shape[1] * scale), height
-    image = cv2.resize(picture.photograph, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    """The board cut out: corners found (rings), and what the rig makes of them (lines, enlarged so that they show)."""
+    box = _box_around(picture.detected_px, picture.photograph.shape, _PANEL_ASPECT)
+    scale = height / (box[3] - box[1])
+    image = crop(picture.photograph, box, (round((box[2] - box[0]) * scale), height))
     difference = picture.detected_px - picture.predicted_px
-    place = lambda pixels: [tuple(map(int, row)) for row in np.rint(((pixels + 0.5) * scale - 0.5) * 16)]  # noqa: E731
-    ends = place(picture.predicted_px + 10 * difference)
-    for found, predicted, end in zip(place(picture.detected_px), place(picture.predicted_px), ends, strict=True):
-        cv2.circle(image, found, 4 * 16, (0, 168, 150), 1, cv2.LINE_AA, shift=4)
-        cv2.line(image, predicted, end, (255, 140, 0), 1, cv2.LINE_AA, shift=4)
     rms = float(np.sqrt(np.mean(np.sum(difference**2, axis=1))))
-    return Picture(image, f"{picture.camera}, frame {picture.frame}: {rms:.3f} px rms over {len(difference)} corners")
+    enlarged = _enlargement(rms * scale)
+    # edges of the box are half a pixel before the centre of its first pixel
+    place = lambda pixels: [tuple(map(int, row)) for row in np.rint(((pixels - box[:2]) * scale - 0.5) * 16)]  # noqa: E731
+    ends = place(picture.predicted_px + enlarged * difference)
+    for found, predicted, end in zip(place(picture.detected_px), place(picture.predicted_px), ends, strict=True):
+        cv2.circle(image, found, 5 * 16, (0, 168, 150), 1, cv2.LINE_AA, shift=4)
+        cv2.line(image, predicted, end, (255, 140, 0), 2, cv2.LINE_AA, shift=4)
+    told = f"{picture.camera}, frame {picture.frame}: {rms:.3f} px rms, {len(difference)} corners; lines {enlarged} times as long"
+    return Picture(image, told)
+
+
+def _enlargement(shown_px: float) -> int:
+    """Of 1, 2, 5, 10, ..., 500 the factor that brings a length nearest to what is easily seen, without passing it."""
+    steps = [step * power for power in (1, 10, 100) for step in (1, 2, 5)]
+    return max((step for step in steps if step * shown_px <= _SHOWN_PX), default=1)
+
+
+def _box_around(pixels: NDArray, shape: tuple[int, ...], aspect: float, margin: float = 0.12) -> tuple[float, ...]:
+    """Edges (left, top, right, bottom) of a box of an aspect about pixels (n, 2), pushed into the image where it fits."""
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    grown = (1 + 2 * margin) * np.maximum(high - low, 1.0)
+    size = np.array([max(grown[0], aspect * grown[1]), max(grown[1], grown[0] / aspect)])
+    room = np.array([shape[1], shape[0]], float)
+    size *= min(1.0, float((room / size).min()))
+    first = np.clip((low + high - size) / 2, -0.5, room - 0.5 - size)
+    return (*first.tolist(), *(first + size).tolist())
 
 
 def contact_sheet(views: list[FrameView], triangles: NDArray, *, height: int = 560) -> Image:

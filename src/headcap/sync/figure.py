@@ -24,9 +24,9 @@ def save_sync_figure(
     from matplotlib.figure import Figure
 
     cameras = result.offsets.cameras
-    figure = Figure(figsize=(14, 2.2 + 0.36 * len(cameras)), layout="constrained", dpi=90)
+    figure = Figure(figsize=(14, 1.9 + 0.24 * len(cameras)), layout="constrained", dpi=100)
     FigureCanvasAgg(figure)
-    waves, pairs, bars = figure.subplots(1, 3, width_ratios=(2.4, 1.5, 1.2))
+    waves, pairs, bars = figure.subplots(1, 3, width_ratios=(2.2, 1.7, 1.2))
     _draw_waves(waves, result, audio)
     _draw_residuals(figure, pairs, result)
     _draw_confidence(bars, result, min_confidence)
@@ -56,9 +56,9 @@ def _draw_waves(axes, result: SyncResult, audio: Mapping) -> None:
 
 def _draw_residuals(figure, axes, result: SyncResult) -> None:
     cameras = result.offsets.cameras
-    axes.set(title="what each pair disagrees by, microseconds", xticks=range(len(cameras)), yticks=range(len(cameras)))
-    axes.set_xticklabels(cameras, rotation=90)
-    axes.set_yticklabels(cameras)
+    axes.set(title="each pair against the start times", xticks=range(len(cameras)), yticks=range(len(cameras)))
+    axes.set_xticklabels(cameras, rotation=90, fontsize=7)
+    axes.set_yticklabels(cameras, fontsize=7)
     if not result.events:
         axes.text(0.5, 0.5, "all offsets given by hand", ha="center", transform=axes.transAxes)
         return
@@ -66,7 +66,7 @@ def _draw_residuals(figure, axes, result: SyncResult) -> None:
     known = np.abs(residual_us[np.isfinite(residual_us)])
     limit = max(float(np.percentile(known, 95)) if len(known) else 0.0, 1.0)
     image = axes.imshow(residual_us, cmap="RdBu", vmin=-limit, vmax=limit)
-    figure.colorbar(image, ax=axes, shrink=0.5)
+    figure.colorbar(image, ax=axes, location="bottom", shrink=0.8, aspect=30, label="microseconds")
 
 
 def _draw_confidence(axes, result: SyncResult, min_confidence: float) -> None:
