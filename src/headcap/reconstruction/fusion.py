@@ -12,9 +12,11 @@ from headcap.reconstruction.maps import DepthMap
 from headcap.reconstruction.points import PointCloud
 from headcap.reconstruction.rims import doubt_rims
 from headcap.reconstruction.settings import FusionSettings
-from headcap.reconstruction.visibility import BASE_ANGLE_DEG, MapStack, surface_beside
+from headcap.reconstruction.visibility import BASE_ANGLE_DEG, MapStack, carry, surface_beside, surface_in_cell, turn
 from headcap.reconstruction.windows import JIT
 
+TOTAL, MOVED, NORMAL, TRUST, COLOUR, LIGHT, SUMS = 0, 1, 2, 5, 6, 9, 10
+"""Where the sums over agreeing views lie in one array; normal and colour take three places."""
 SHEET_SHARE = 0.2
 """Half the thickness of the sheet along a point's tangent plane in which its neighbours lie, as a share of the reach: skin
 bends away by reach^2 / (2 radius), which is less for every radius above 2.5 times the reach (lips and nostrils)."""
@@ -67,105 +69,89 @@ def _median_footprint(maps: list[DepthMap], cell_px: int) -> float:
 
 @njit(**JIT)
 def _fuse_view(
-    view,
-    chosen,
-    size,
-    depth,
-    normal,
-    sigma,
-    confidence,
-    colour,
-    matrices,
-    view_from_world,
-    world_from_view,
-    min_views,
-    max_gap_px,
-    min_normal_dot,
-    min_facing,
-):
+    view, chosen, size, depth, normal, sigma, confidence, colour, matrices, view_from_world, world_from_view, min_views,
+    max_gap_px, min_normal_dot, min_facing,
+):  # fmt: skip
     """Fused points of one view's cells: positions, normals, sigma, confidence, colours."""
-    views = len(depth)
     rows, columns = size[view, 0], size[view, 1]
-    most = 0
-    for row in range(rows):
-        for column in range(columns):
-            most += chosen[view, row, column]
+    most = chosen[view].sum()
     positions, normals = np.empty((most, 3)), np.empty((most, 3), np.float32)
     sigmas, trusts, colours = np.empty(most, np.float32), np.empty(most, np.float32), np.empty((most, 3), np.uint8)
-    _gaps, _weights = np.empty(views), np.empty(views)
+    sums = np.empty(SUMS)
     found = 0
-    out, back = world_from_view[view], matrices[view]
+    out = world_from_view[view]
     for row in range(rows):
         for column in range(columns):
-            d = depth[view, row, column]
-            if d <= 0.0 or not chosen[view, row, column]:
+            if depth[view, row, column] <= 0.0 or not chosen[view, row, column]:
                 continue
-            ly = (row - back[1, 2]) / back[1, 1] * d
-            lx = ((column - back[0, 2]) * d - back[0, 1] * ly) / back[0, 0]
-            n0, n1, n2 = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
-            facing = -(n0 * lx + n1 * ly + n2 * d) / math.sqrt(lx * lx + ly * ly + d * d)
+            lx, ly, lz, facing = surface_in_cell(view, row, column, depth, normal, matrices)
             if facing < min_facing:
                 continue
-            wx = out[0, 0] * lx + out[0, 1] * ly + out[0, 2] * d + out[0, 3]
-            wy = out[1, 0] * lx + out[1, 1] * ly + out[1, 2] * d + out[1, 3]
-            wz = out[2, 0] * lx + out[2, 1] * ly + out[2, 2] * d + out[2, 3]
-            nx = out[0, 0] * n0 + out[0, 1] * n1 + out[0, 2] * n2
-            ny = out[1, 0] * n0 + out[1, 1] * n1 + out[1, 2] * n2
-            nz = out[2, 0] * n0 + out[2, 1] * n1 + out[2, 2] * n2
+            n0, n1, n2 = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
+            wx, wy, wz = carry(out, lx, ly, lz)
+            nx, ny, nz = turn(out, n0, n1, n2)
+            sums[:] = 0.0
             weight = 1.0 / max((sigma[view, row, column] * n2) ** 2, 1e-14)
-            agreeing, total, moved = 1, weight, 0.0
-            mx, my, mz = weight * nx, weight * ny, weight * nz
-            trust = weight * confidence[view, row, column]
-            red, green, blue = (
-                facing * colour[view, row, column, 0],
-                facing * colour[view, row, column, 1],
-                facing * colour[view, row, column, 2],
-            )
-            light = facing
-            for other in range(views):
-                if other == view:
-                    continue
-                to = view_from_world[other]
-                x = to[0, 0] * wx + to[0, 1] * wy + to[0, 2] * wz + to[0, 3]
-                y = to[1, 0] * wx + to[1, 1] * wy + to[1, 2] * wz + to[1, 3]
-                z = to[2, 0] * wx + to[2, 1] * wy + to[2, 2] * wz + to[2, 3]
-                r, c, gap = surface_beside(other, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing)
-                if r < 0:
-                    continue
-                o0, o1, o2 = normal[other, r, c, 0], normal[other, r, c, 1], normal[other, r, c, 2]
-                ox = to[0, 0] * o0 + to[1, 0] * o1 + to[2, 0] * o2
-                oy = to[0, 1] * o0 + to[1, 1] * o1 + to[2, 1] * o2
-                oz = to[0, 2] * o0 + to[1, 2] * o1 + to[2, 2] * o2
-                if ox * nx + oy * ny + oz * nz < min_normal_dot:
-                    continue
-                # a gap along the other view's ray is a distance along its normal of gap * (ray . normal)
-                slant = (o0 * x + o1 * y + o2 * z) / z
-                agreeing += 1
-                weight = 1.0 / max((sigma[other, r, c] * o2) ** 2, 1e-14)
-                total += weight
-                moved += weight * gap * slant
-                mx, my, mz = mx + weight * ox, my + weight * oy, mz + weight * oz
-                trust += weight * confidence[other, r, c]
-                looks = -slant * z / math.sqrt(x * x + y * y + z * z)
-                red += looks * colour[other, r, c, 0]
-                green += looks * colour[other, r, c, 1]
-                blue += looks * colour[other, r, c, 2]
-                light += looks
+            _add_vote(sums, weight, 0.0, nx, ny, nz, confidence[view, row, column], facing, colour[view, row, column])
+            agreeing = 1 + _add_other_views(
+                sums, view, wx, wy, wz, nx, ny, nz, size, depth, normal, sigma, confidence, colour, matrices, view_from_world,
+                max_gap_px, min_normal_dot, min_facing,
+            )  # fmt: skip
             if agreeing < min_views:
                 continue
-            shift = moved / total
-            length = math.sqrt(mx * mx + my * my + mz * mz)
+            total, shift = sums[TOTAL], sums[MOVED] / sums[TOTAL]
             positions[found, 0], positions[found, 1], positions[found, 2] = wx + shift * nx, wy + shift * ny, wz + shift * nz
+            mx, my, mz = sums[NORMAL], sums[NORMAL + 1], sums[NORMAL + 2]
+            length = math.sqrt(mx * mx + my * my + mz * mz)
             normals[found, 0], normals[found, 1], normals[found, 2] = mx / length, my / length, mz / length
             sigmas[found] = 1.0 / math.sqrt(total)
-            trusts[found] = trust / total
-            colours[found, 0], colours[found, 1], colours[found, 2] = (
-                int(red / light + 0.5),
-                int(green / light + 0.5),
-                int(blue / light + 0.5),
-            )
+            trusts[found] = sums[TRUST] / total
+            for band in range(3):
+                colours[found, band] = int(sums[COLOUR + band] / sums[LIGHT] + 0.5)
             found += 1
     return positions[:found], normals[:found], sigmas[:found], trusts[:found], colours[:found]
+
+
+@njit(inline="always")
+def _add_vote(sums, weight, moved, nx, ny, nz, confidence, facing, colour):
+    """Add what one view says of a place: weight, distance along the normal, normal, confidence; colour by how it faces it."""
+    sums[TOTAL] += weight
+    sums[MOVED] += weight * moved
+    sums[NORMAL] += weight * nx
+    sums[NORMAL + 1] += weight * ny
+    sums[NORMAL + 2] += weight * nz
+    sums[TRUST] += weight * confidence
+    sums[LIGHT] += facing
+    for band in range(3):
+        sums[COLOUR + band] += facing * colour[band]
+
+
+@njit(inline="always")
+def _add_other_views(
+    sums, view, wx, wy, wz, nx, ny, nz, size, depth, normal, sigma, confidence, colour, matrices, view_from_world, max_gap_px,
+    min_normal_dot, min_facing,
+):  # fmt: skip
+    """Add the votes of all other views whose surface agrees with a point and its normal in the world; returns their number."""
+    agreeing = 0
+    for other in range(len(depth)):
+        if other == view:
+            continue
+        to = view_from_world[other]
+        x, y, z = carry(to, wx, wy, wz)
+        r, c, gap = surface_beside(other, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing)
+        if r < 0:
+            continue
+        o0, o1, o2 = normal[other, r, c, 0], normal[other, r, c, 1], normal[other, r, c, 2]
+        ox, oy, oz = turn(to.T, o0, o1, o2)
+        if ox * nx + oy * ny + oz * nz < min_normal_dot:
+            continue
+        agreeing += 1
+        # a gap along the other view's ray is a distance along its normal of gap * (ray . normal)
+        slant = (o0 * x + o1 * y + o2 * z) / z
+        weight = 1.0 / max((sigma[other, r, c] * o2) ** 2, 1e-14)
+        looks = -slant * z / math.sqrt(x * x + y * y + z * z)
+        _add_vote(sums, weight, gap * slant, ox, oy, oz, confidence[other, r, c], looks, colour[other, r, c])
+    return agreeing
 
 
 def _thin_to(positions: NDArray, sigma: NDArray, spacing: float, most: int) -> tuple[NDArray, float]:

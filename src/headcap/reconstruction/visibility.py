@@ -47,6 +47,36 @@ class MapStack:
         )  # fmt: skip
 
 
+@njit(inline="always")
+def surface_in_cell(view, row, column, depth, normal, matrices):
+    """Where a cell's surface lies in its camera's frame, x, y, z, and the cosine at which it faces the camera."""
+    matrix, d = matrices[view], depth[view, row, column]
+    y = (row - matrix[1, 2]) / matrix[1, 1] * d
+    x = ((column - matrix[0, 2]) * d - matrix[0, 1] * y) / matrix[0, 0]
+    n0, n1, n2 = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
+    return x, y, d, -(n0 * x + n1 * y + n2 * d) / math.sqrt(x * x + y * y + d * d)
+
+
+@njit(inline="always")
+def carry(pose, x, y, z):
+    """A point taken through a pose (4, 4)."""
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3],
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3],
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3],
+    )
+
+
+@njit(inline="always")
+def turn(pose, x, y, z):
+    """A direction turned by a pose (4, 4)."""
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z,
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z,
+    )
+
+
 @njit(**JIT)
 def surface_beside(view, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing):
     """Where the surface of `view` meets the ray through a point (x, y, z) of its frame.
@@ -95,32 +125,23 @@ def best_views(maps: list[DepthMap], settings: ReconstructSettings) -> list[NDAr
 
 @njit(**JIT)
 def _rank_view(view, size, depth, normal, matrices, view_from_world, world_from_view, finest_views, max_gap_px, min_facing):
+    """`best_views` of one map."""
     rows, columns = size[view, 0], size[view, 1]
     best = np.zeros((rows, columns), np.bool_)
-    out, back = world_from_view[view], matrices[view]
     for row in range(rows):
         for column in range(columns):
-            d = depth[view, row, column]
-            if d <= 0.0:
+            if depth[view, row, column] <= 0.0:
                 continue
-            ly = (row - back[1, 2]) / back[1, 1] * d
-            lx = ((column - back[0, 2]) * d - back[0, 1] * ly) / back[0, 0]
-            n0, n1, n2 = normal[view, row, column, 0], normal[view, row, column, 1], normal[view, row, column, 2]
-            facing = -(n0 * lx + n1 * ly + n2 * d) / math.sqrt(lx * lx + ly * ly + d * d)
+            lx, ly, lz, facing = surface_in_cell(view, row, column, depth, normal, matrices)
             if facing < min_facing:
                 continue
-            mine = facing * back[0, 0] / d
-            wx = out[0, 0] * lx + out[0, 1] * ly + out[0, 2] * d + out[0, 3]
-            wy = out[1, 0] * lx + out[1, 1] * ly + out[1, 2] * d + out[1, 3]
-            wz = out[2, 0] * lx + out[2, 1] * ly + out[2, 2] * d + out[2, 3]
+            mine = facing * matrices[view, 0, 0] / lz
+            wx, wy, wz = carry(world_from_view[view], lx, ly, lz)
             better = 0
             for other in range(len(depth)):
                 if other == view:
                     continue
-                to = view_from_world[other]
-                x = to[0, 0] * wx + to[0, 1] * wy + to[0, 2] * wz + to[0, 3]
-                y = to[1, 0] * wx + to[1, 1] * wy + to[1, 2] * wz + to[1, 3]
-                z = to[2, 0] * wx + to[2, 1] * wy + to[2, 2] * wz + to[2, 3]
+                x, y, z = carry(view_from_world[other], wx, wy, wz)
                 r, c, _ = surface_beside(other, x, y, z, size, depth, normal, matrices, max_gap_px, min_facing)
                 if r < 0:
                     continue
