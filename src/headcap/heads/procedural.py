@@ -21,7 +21,7 @@ STORE = Path(__file__).with_name("base_head.npz")
 def base_head() -> Template:
     """The stored base head, in metres, y up, z out of the face, origin between the ears.
 
-    Regions: face, neck, scalp, ears, eyes, lips_upper, lips_lower, lips_inner_upper, lips_inner_lower, mouth_interior,
+    Regions: face, neck, scalp, ears, eyes, lid_rims, lips_upper, lips_lower, lips_inner_upper, lips_inner_lower, mouth_interior,
     larynx. The lip line's two sides are the first of `lips_inner_upper` and `lips_inner_lower` that touch the skin; their
     vertices come in pairs (`lip_pairs`).
     """
@@ -61,8 +61,8 @@ def build() -> None:
     half = sewing.open_mouth(skin, points, triangles, chains)
     vertices, whole, partner, pocket = sewing.mirror(half)
     marks = {name: np.unique(np.concatenate([i, partner[i]])) for name, i in half.marks.items()}
-    marks["eye"] = np.concatenate([eye, partner[eye]])
     rim = np.stack([chains["rim"], partner[chains["rim"]]])
+    marks |= {"eye": np.concatenate([eye, partner[eye]]), "rim": rim.ravel()}
     uv, uv_triangles = _texture_coordinates(skin, triangles, chains, vertices, whole, pocket)
     upper, lower = half.marks["slit_upper"], half.marks["slit_lower"]
     left = np.stack([upper, lower], axis=1)

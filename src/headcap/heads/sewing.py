@@ -176,6 +176,7 @@ def regions(vertices: NDArray, triangles: NDArray, pocket: NDArray, marks: dict[
         "scalp": scalp,
         "ears": ears,
         "eyes": mask["eye"],
+        "lid_rims": mask["rim"],
         "lips_upper": (lips & upper_side) | slit_upper,
         "lips_lower": (lips & ~upper_side) | slit_lower,
         "lips_inner_upper": up,

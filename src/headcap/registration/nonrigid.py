@@ -29,7 +29,8 @@ class NonrigidSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     lengths_mm: tuple[float, ...] = Field(
-        (60, 40, 28, 20, 14, 10, 7, 5, 3.5, 2.5, 1.8), description="Smoothing length stage by stage"
+        (60, 40, 28, 20, 14, 10, 7, 5, 3.5, 2.5, 1.8, 1.3),
+        description="Smoothing length stage by stage; the last is a little over half the finest edges",
     )
     rounds: int = Field(3, ge=1, description="Rounds of nearest points per stage")
     reach_mm: tuple[float, float] = Field((30.0, 3.0), description="Robust scale of the distance in the first and last stage")

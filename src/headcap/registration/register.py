@@ -10,6 +10,7 @@ from headcap.errors import InputError
 from headcap.geometry.transforms import invert, transform
 from headcap.meshes.normals import vertex_normals
 from headcap.registration.align import AlignSettings, Placement, align_base, skin_triangles
+from headcap.registration.eye_rims import eye_lines, eye_rims
 from headcap.registration.lip_line import LipLine, LipLineSettings, find_lip_line
 from headcap.registration.nonrigid import Lines, NonrigidSettings, Plate, Target, fit_stage, flipped_triangles, unfold
 from headcap.registration.scan import Scan
@@ -29,6 +30,7 @@ class RegisterSettings(BaseModel):
     lip_line: LipLineSettings = Field(default_factory=LipLineSettings, description="Valley between the lips")
     least_face_share: float = Field(0.5, ge=0, le=1, description="Share of the template's face that must lie on the scan")
     lip_stage_mm: float = Field(10.0, description="From this smoothing length on the lip line is held to the scan's")
+    eye_stage_mm: float = Field(20.0, description="From this smoothing length on the lids' rims are held to the scan's eye holes")
     texture_px: int = Field(1024, ge=64, description="Side of the texture baked from the scan's colours")
 
 
@@ -102,13 +104,16 @@ def _bend(
 ) -> tuple[NDArray, LipLine | None]:
     """All stages; from `lip_stage_mm` on the lip line lies in the scan's valley."""
     vertices, lines, line = plate.rest, picked, None
-    pairs = lip_pairs(base)
+    pairs, rims, lids = lip_pairs(base), eye_rims(base), None
     # the lip line's own vertices face into the mouth: only the valley may draw them, never the nearest point
     pulled = ~hidden
     for stage, length_mm in enumerate(settings.nonrigid.lengths_mm):
+        if length_mm <= settings.eye_stage_mm and lids is None:
+            lids = eye_lines(plate.rest, vertices, rims, scan)
+            lines = lines.joined(lids)
         if length_mm <= settings.lip_stage_mm and line is None:
             line = _find_line(vertices, base, pairs, scan, settings)
-            lines = picked if line is None else picked.joined(_line_targets(line, vertices, pairs))
+            lines = lines if line is None else lines.joined(_line_targets(line, vertices, pairs))
         vertices = fit_stage(plate, vertices, pulled, target, lines, stage, settings.nonrigid)
     return vertices, line
 

@@ -119,3 +119,4 @@ def test_eye_rims_are_closed_rings_around_the_eyes(head):
     for ring in eye_rims():
         assert all(adjacency[a, b] for a, b in zip(ring, np.roll(ring, -1), strict=True))
     assert not head.regions["eyes"][eye_rims()].any()
+    assert set(np.flatnonzero(head.regions["lid_rims"])) == set(eye_rims().ravel())

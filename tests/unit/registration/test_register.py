@@ -13,6 +13,7 @@ from headcap.meshes.normals import vertex_normals
 from headcap.meshes.topology import submesh
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.align import AlignSettings
+from headcap.registration.eye_rims import eye_lines, eye_rims
 from headcap.registration.nonrigid import NonrigidSettings
 from headcap.registration.place import fit_placement
 from headcap.registration.register import RegisterSettings, lip_pairs, register_scan
@@ -38,8 +39,8 @@ def warp(points):
 def scanned():
     """The warped skin in another triangulation, without eyes and mouth, in any placement."""
     head = base_head()
-    hidden = np.logical_or.reduce([head.regions[n] for n in ("eyes", "mouth_interior")])
-    triangles, used = submesh(head.triangles, ~hidden[head.triangles].any(1))
+    eyes, mouth = head.regions["eyes"] | head.regions["lid_rims"], head.regions["mouth_interior"]
+    triangles, used = submesh(head.triangles, ~(eyes[head.triangles].all(1) | mouth[head.triangles].any(1)))
     vertices, triangles = trimesh.remesh.subdivide(warp(head.vertices)[used], triangles)
     scan_from_head = rigid(Rotation.random(random_state=4).as_matrix(), np.array([0.3, -1.2, 0.4]))
     colours = np.clip(128 + 800 * vertices, 0, 255).astype(np.uint8)
@@ -88,6 +89,38 @@ def test_lip_line_lies_in_the_scans_own(scanned, registered):
     # along the line there is nothing to hold to: across it is what counts
     steps = np.linalg.norm(found[3:-3, None] - truth[None], axis=2).min(1)
     assert np.median(steps) < 1.2e-3
+
+
+def _distance_to_ring_mm(points, ring):
+    """(n,) to a closed line (k, 3) through densely interpolated points."""
+    dense = (ring[:, None] + np.linspace(0, 1, 20)[:, None] * (np.roll(ring, -1, axis=0) - ring)[:, None]).reshape(-1, 3)
+    return 1000 * np.linalg.norm(points[:, None] - dense[None], axis=2).min(1)
+
+
+def test_lid_rims_lie_on_the_rims_of_the_scans_eyes(scanned, registered):
+    _, scan_from_head = scanned
+    head = base_head()
+    found = transform(invert(registered.base_from_scan), registered.template.vertices)
+    truth = transform(scan_from_head, warp(head.vertices))
+    for rim in eye_rims(head):
+        # held fifteen times as hard as a vertex is to the surface, against a plate of 2 mm: within a third of that
+        assert _distance_to_ring_mm(found[rim], truth[rim]).max() < 0.7
+        assert _distance_to_ring_mm(truth[rim], found[rim]).max() < 0.7
+        # corner lies on corner; shares of length between them differ little under a smooth warp
+        assert 1000 * np.linalg.norm(found[rim] - truth[rim], axis=1).max() < 1.5
+
+
+def test_eyes_without_holes_hold_no_lids():
+    head = base_head()
+    skin, used = submesh(head.triangles, ~head.regions["mouth_interior"][head.triangles].any(1))
+    closed = Scan(head.vertices[used], skin)
+    assert len(eye_lines(head.vertices, head.vertices, eye_rims(head), closed).vertices) == 0
+    # nor does a hole that is not an eye's: here a window in the cheek and one as large as the face
+    for centre, radius in (((0.045, -0.03, 0.07), 0.008), ((0, -0.03, 0.1), 0.06)):
+        cut = np.linalg.norm(closed.vertices[skin].mean(1) - centre, axis=1) < radius
+        left, kept = submesh(skin, ~cut)
+        torn = Scan(closed.vertices[kept], left)
+        assert len(eye_lines(head.vertices, head.vertices, eye_rims(head), torn).vertices) == 0
 
 
 def test_texture_comes_from_the_scan(registered):
