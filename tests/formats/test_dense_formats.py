@@ -1,7 +1,9 @@
 """COLMAP's dense files and the PMVS workspace, byte by byte."""
 
 import struct
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -106,25 +108,76 @@ def test_colmap_fuses_our_maps(rig):
     np.testing.assert_allclose(cloud.normals[:, 2], -1.0, atol=1e-5)
 
 
-def test_pmvs_workspace(tmp_path, rig):
-    ring = []
-    for k, camera in enumerate(rig):
-        yaw = np.deg2rad(15.0 * k)
-        pose = np.eye(4)
+DOT_SIGMA_PX = 1.5
+
+
+@pytest.fixture(scope="module")
+def pmvs(tmp_path_factory) -> tuple[Path, Rig, np.ndarray]:
+    """A workspace of four cameras on an arc, with lens distortion, that photograph one soft dot each at a true point."""
+    ring, images, point = [], [], np.array([0.04, -0.03, 0.02])
+    lens = np.array([-0.15, 0.05, 1e-3, -5e-4, 0.0])
+    for k in range(4):
+        yaw, pose = np.deg2rad(15.0 * k), np.eye(4)
         pose[:3, :3] = [[np.cos(yaw), 0, -np.sin(yaw)], [0, 1, 0], [np.sin(yaw), 0, np.cos(yaw)]]
-        pose[2, 3] = 1.0
-        ring.append(camera.moved(pose))
-    images = [np.full((30, 40, 3), 40 * k, np.uint8) for k in range(4)]
-    export_pmvs(tmp_path, Rig(tuple(ring)), images, settings=ReconstructSettings())
-    for k, camera in enumerate(ring):
-        lines = (tmp_path / "txt" / f"{k:08d}.txt").read_text().splitlines()
-        assert lines[0] == "CONTOUR"
-        projection = np.array([line.split() for line in lines[1:]], float)
-        image_point = projection @ [0.01, 0.02, 0.03, 1]
-        np.testing.assert_allclose(image_point[:2] / image_point[2], camera.project(np.array([0.01, 0.02, 0.03]))[0])
-    links = (tmp_path / "vis.dat").read_text().splitlines()
-    assert links[:2] == ["VISDATA", "4"]
-    assert links[2].split()[0] == "0"
-    assert len(links[2].split()) == 2 + int(links[2].split()[1])
-    assert "timages -1 0 4" in (tmp_path / "option-all").read_text()
-    assert (tmp_path / "models").is_dir()
+        pose[2, 3] = 0.5
+        matrix = np.array([[260.0 + k, 0, 101.2], [0, 262.0, 74.1], [0, 0, 1]])
+        ring.append(Camera(f"cam{k}", 200, 150, matrix, lens, pose))
+        u, v = ring[-1].project(point)[0].ravel()
+        y, x = np.mgrid[:150, :200]
+        dot = 230 * np.exp(-0.5 * ((x - u) ** 2 + (y - v) ** 2) / DOT_SIGMA_PX**2)
+        images.append(np.repeat(np.rint(dot)[..., None], 3, 2).astype(np.uint8))
+    folder, rig = tmp_path_factory.mktemp("pmvs"), Rig(tuple(ring))
+    masks = [image.max(2) > 20 for image in images]
+    export_pmvs(folder, rig, images, settings=ReconstructSettings(), masks=masks)
+    return folder, rig, point
+
+
+def _read_projection(path: Path) -> np.ndarray:
+    """As PMVS2 reads it: words apart by blanks, numbers in single precision."""
+    word, *numbers = path.read_text().split()
+    assert word == "CONTOUR"
+    return np.array(numbers, np.float32).reshape(3, 4)
+
+
+def test_pmvs_matrices_project_truth_to_where_the_photographs_show_it(pmvs):
+    folder, rig, point = pmvs
+    rng = np.random.default_rng(4)
+    around = rng.uniform(-0.06, 0.06, (50, 3))
+    for k, camera in enumerate(rig):
+        projection = _read_projection(folder / "txt" / f"{k:08d}.txt")
+        homogeneous = np.c_[around, np.ones(50)] @ projection.T
+        straight = camera.undistort_pixels(camera.project(around)[0]) @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]
+        # single precision leaves 1e-5 of 200 pixels, undoing the lens 1e-3
+        np.testing.assert_allclose(homogeneous[:, :2] / homogeneous[:, 2:], straight, atol=5e-3)
+        picture = cv2.imread(str(folder / "visualize" / f"{k:08d}.ppm"))[..., 0].astype(float)
+        y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
+        centroid = np.array([(x * picture).sum(), (y * picture).sum()]) / picture.sum()
+        dot = projection @ np.append(point, 1)
+        # rounding to grey levels and the lens' stretch across the dot move its centroid by some hundredths of a pixel
+        np.testing.assert_allclose(centroid, dot[:2] / dot[2], atol=0.1)
+        mask = cv2.imread(str(folder / "masks" / f"{k:08d}.pgm"), cv2.IMREAD_UNCHANGED)
+        assert mask.shape == picture.shape
+        # a pixel at the rim of the silhouette is lost to interpolation
+        assert (mask[picture > 120] > 127).all()
+        assert (mask[picture < 5] <= 127).all()
+
+
+def test_pmvs_visibility_and_options_read_back(pmvs):
+    folder, rig, _ = pmvs
+    words = iter((folder / "vis.dat").read_text().split())
+    assert (next(words), int(next(words))) == ("VISDATA", len(rig))
+    for k in range(len(rig)):
+        number, count = int(next(words)), int(next(words))
+        linked = [int(next(words)) for _ in range(count)]
+        assert number == k
+        assert k not in linked
+        assert 0 < len(set(linked)) == count
+        assert set(linked) <= set(range(len(rig)))
+    assert next(words, None) is None
+    options = dict(line.split(" ", 1) for line in (folder / "option-all").read_text().splitlines())
+    # every name that PMVS2 knows; it stops at others and where timages or oimages is missing
+    known = {"level", "csize", "threshold", "wsize", "minImageNum", "CPU", "setEdge", "useBound", "useVisData", "sequence"}
+    assert {"timages", "oimages"} <= set(options) <= known | {"timages", "oimages", "quad", "maxAngle"}
+    assert options["timages"] == "-1 0 4"
+    assert options["useVisData"] == "1"
+    assert (folder / "models").is_dir()

@@ -1,10 +1,13 @@
-"""A workspace that PMVS2 opens: `pmvs2 <folder>/ option-all`.
+"""A workspace that PMVS2 opens: `pmvs2 <folder>/ option-all` (the slash belongs to it: PMVS2 puts names right behind).
 
-visualize/%08d.jpg   distortion-free photographs
-txt/%08d.txt         CONTOUR and the 3 x 4 projection matrix, integer pixel centres
+visualize/%08d.ppm   distortion-free photographs, numbered from 0 without gaps
+masks/%08d.pgm       where there are silhouettes: above 127 on the subject
+txt/%08d.txt         the word CONTOUR and the 3 x 4 projection matrix row by row; pixels count from the first one's centre
 models/              where PMVS2 writes
-vis.dat              which views are matched with which
-option-all           settings
+vis.dat              the word VISDATA, the number of views, then per view its number, how many it is matched with, and which
+option-all           a name and its value per line; timages -1 0 n: make points of views 0 to n - 1
+
+`bundle.rd.out` is input of CMVS, which cuts large sets of photographs into clusters; PMVS2 itself does not read it.
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ def export_pmvs(
     for part in ("visualize", "txt", "models", *(("masks",) if masks else ())):
         (folder / part).mkdir(parents=True, exist_ok=True)
     for index, view in enumerate(views):
-        cv2.imwrite(str(folder / "visualize" / f"{index:08d}.jpg"), view.colour, [cv2.IMWRITE_JPEG_QUALITY, 100])
+        cv2.imwrite(str(folder / "visualize" / f"{index:08d}.ppm"), view.colour)
         projection = view.camera.matrix @ view.camera.camera_from_world[:3]
         lines = [" ".join(repr(float(value)) for value in row) for row in projection]
         (folder / "txt" / f"{index:08d}.txt").write_text("CONTOUR\n" + "\n".join(lines) + "\n")
