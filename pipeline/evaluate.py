@@ -8,12 +8,15 @@ from headcap.evaluation.metrics import save_metrics
 from headcap.evaluation.session import SessionFolder, evaluate_session
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.truth import Truth
+from headcap.registration.scan import load_scan
+from headcap.registration.scan_placement import ScanPlacement
 
 
 def run(
     *,
     rig: Path,
     template: Path,
+    placement: Path,
     ingested: list[Path],
     offsets: list[Path],
     timelines: list[Path],
@@ -22,6 +25,7 @@ def run(
     sequences: list[Path],
     metrics: Path,
     takes: list[str],
+    scan: dict,
     truth: Path | None,
     settings: EvaluateSettings,
 ) -> None:
@@ -31,6 +35,7 @@ def run(
         rig=CalibrationResult.load(rig).rig,
         truth=Truth(truth) if truth else None,
         settings=settings,
+        scan=ScanPlacement.load(placement).placed(load_scan(scan["file"], scan["unit"])),
     )
     save_metrics(metrics, figures)
     write_manifest(
@@ -38,7 +43,7 @@ def run(
         kind="metrics",
         stage="evaluate",
         settings_digest=digest_settings(settings=settings),
-        inputs=[rig, template, *ingested, *offsets, *timelines, *clouds, *starts, *sequences],
+        inputs=[rig, template, placement, *ingested, *offsets, *timelines, *clouds, *starts, *sequences],
         figures={},
     )
 

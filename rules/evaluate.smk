@@ -10,6 +10,7 @@ rule evaluate:
     """The session's figures."""
     input:
         unpack(session_results),
+        placement="results/{session}/register/placement.json",
     output:
         metrics="results/{session}/metrics.json",
     log:
@@ -21,6 +22,7 @@ rule evaluate:
     params:
         truth=truth,
         takes=takes,
+        scan=scan_paths,
         settings=evaluate_setting,
         source=source("evaluate"),
     script:

@@ -243,7 +243,7 @@ def error_histogram(error_mm: NDArray, limits: dict[str, float | None], *, title
             if limit is not None:
                 axes.axvline(limit, color=colour, linewidth=0.9, linestyle="--", label=f"its limit: {limit:.3g} mm")
         axes.set(title=title, xlabel="mm", yticks=[], xlim=(0, None))
-        axes.legend(loc="upper center", framealpha=1, frameon=True, edgecolor="white")
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, borderaxespad=0.2)
     return out[0]
 
 

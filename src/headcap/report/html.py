@@ -92,7 +92,11 @@ def _rows(inputs: ReportInputs) -> list[_Row]:
     """Rows of the table, in the order of the stages and the catalogue."""
     stages, names = ("rig", "ingest", "sync", "calibrate", "reconstruct", "register", "place", "track"), list(CATALOGUE)
     place = lambda options, key: options.index(key) if key in options else len(options)  # noqa: E731
-    ordered = sorted(inputs.figures, key=lambda f: (place(stages, f.name.split(".")[0]), place(names, f.name), f.name))
+    takes = [take.take for take in inputs.takes]
+    ordered = sorted(
+        inputs.figures,
+        key=lambda f: (place(stages, f.name.split(".")[0]), place(names, f.name), f.name, place(takes, f.take)),
+    )
     return [
         _Row(
             figure=figure,

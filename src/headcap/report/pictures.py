@@ -169,7 +169,7 @@ def _enlargement(shown_px: float) -> int:
     return max((step for step in steps if step * shown_px <= _SHOWN_PX), default=1)
 
 
-def _box_around(pixels: NDArray, shape: tuple[int, ...], aspect: float, margin: float = 0.12) -> tuple[float, ...]:
+def _box_around(pixels: NDArray, shape: tuple[int, ...], aspect: float, margin: float = 0.2) -> tuple[float, ...]:
     """Edges (left, top, right, bottom) of a box of an aspect about pixels (n, 2), pushed into the image where it fits."""
     low, high = pixels.min(axis=0), pixels.max(axis=0)
     grown = (1 + 2 * margin) * np.maximum(high - low, 1.0)
