@@ -6,6 +6,7 @@ Flow is worked on images of half size; offsets are in pixels of that half size u
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -109,7 +110,9 @@ def moving_region(before: Image, after: Image, settings: FrameSettings) -> tuple
     return bounds[0], bounds[1]
 
 
+@lru_cache(maxsize=4)
 def _grid(shape: tuple[int, int]) -> Field:
+    """Pixel (x, y) of each place of (rows, columns), to be read only; the same for all frames of a size."""
     return np.stack(np.meshgrid(*(np.arange(n, dtype=np.float32) for n in shape[::-1])), axis=-1)
 
 
@@ -137,5 +140,5 @@ def _sample_full(image: Image, offset: Field) -> Image:
     """Sample a frame at its pixels moved by an offset field of half size."""
     height, width = image.shape[:2]
     scale = np.float32([width / offset.shape[1], height / offset.shape[0]])
-    pixels = _grid((height, width)) + scale * cv2.resize(offset, (width, height))
+    pixels = cv2.add(_grid((height, width)), cv2.resize(scale * offset, (width, height)))
     return cv2.remap(image, pixels, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
