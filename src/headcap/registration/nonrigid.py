@@ -50,6 +50,8 @@ class Lines:
     """(k,)."""
     targets: NDArray[np.float64]
     """(k, 3) metres."""
+    alone: bool | NDArray[np.bool_] = False
+    """(k,) or one for all: whether a vertex stands alone and not in a row of others that are held as well."""
 
     @classmethod
     def none(cls) -> "Lines":
@@ -58,7 +60,18 @@ class Lines:
 
     def joined(self, other: "Lines") -> "Lines":
         """Both sets."""
-        return Lines(np.concatenate([self.vertices, other.vertices]), np.concatenate([self.targets, other.targets]))
+        alone = [np.broadcast_to(lines.alone, lines.vertices.shape) for lines in (self, other)]
+        vertices = np.concatenate([self.vertices, other.vertices])
+        return Lines(vertices, np.concatenate([self.targets, other.targets]), np.concatenate(alone))
+
+    def area(self, plate: "Plate", length_m: float) -> NDArray[np.float64]:
+        """Area (k,) that each vertex speaks for: its own, and where it stands alone what the plate moves along with it.
+
+        Against a plate of smoothing length l the data of about l^2 hold a vertex in its place: a lone vertex that weighed
+        but its own few square millimetres would be carried along by its neighbours.
+        """
+        own = plate.area[self.vertices]
+        return np.where(self.alone, np.maximum(own, length_m**2), own)
 
 
 class Target:
@@ -135,7 +148,7 @@ def fit_stage(
     reach = 1e-3 * settings.reach_mm[0] * (settings.reach_mm[1] / settings.reach_mm[0]) ** share
     for _ in range(settings.rounds):
         matrix, right = _pulls(plate, vertices, pulled, target, reach, settings)
-        matrix, right = _with_lines(plate, lines, matrix, right, settings.line_weight)
+        matrix, right = _with_lines(plate, lines, matrix, right, settings.line_weight, length)
         matrix = matrix + plate.matrix(length, settings.membrane)
         right = right + plate.right(plate.rotations(vertices), length, settings.membrane)
         vertices = Factor(matrix).solve(right)
@@ -175,11 +188,11 @@ def _pair_weight(
     return np.where(cosine > settings.least_cosine, cosine, 0.0) / (1.0 + squared / reach**2) ** 2
 
 
-def _with_lines(plate: Plate, lines: Lines, matrix: sparse.csr_array, right: NDArray, weight: float) -> tuple:
+def _with_lines(plate: Plate, lines: Lines, matrix: sparse.csr_array, right: NDArray, weight: float, length_m: float) -> tuple:
     if len(lines.vertices) == 0:
         return matrix, right
     pull = np.zeros(len(right))
-    pull[lines.vertices] = weight * plate.area[lines.vertices]
+    pull[lines.vertices] = weight * lines.area(plate, length_m)
     right = right.copy()
     right[lines.vertices] += pull[lines.vertices, None] * lines.targets
     return matrix + sparse.diags_array(pull), right

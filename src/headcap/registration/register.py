@@ -96,7 +96,8 @@ def _picked(base: Template, picks: dict[str, NDArray]) -> Lines:
         )
     if not picks:
         return Lines.none()
-    return Lines(np.array([base.landmarks[name] for name in picks]), np.array([np.asarray(p, float) for p in picks.values()]))
+    places = np.array([np.asarray(place, float) for place in picks.values()])
+    return Lines(np.array([base.landmarks[name] for name in picks]), places, alone=True)
 
 
 def _bend(
