@@ -19,7 +19,7 @@ from headcap.sync.settings import SyncSettings
 
 Array = NDArray[np.float64]
 
-NO_CLAP_REMEDY = "Give this take's start times by hand (`offsets` in the session file), or align it by its whole sound"
+NO_CLAP_REMEDY = "Give this take's start times by hand (`offsets_s` in the session file), or find them from its whole sound with `headcap.sync.align_recordings`"
 # an event this near to the best one in score may as well be the clap: the first of them is taken
 AS_GOOD = 0.9
 
@@ -85,12 +85,12 @@ def synchronise(
     settings, manual = settings or SyncSettings(), dict(manual_start_s or {})
     unknown = sorted(set(manual) - set(audio))
     if unknown:
-        expected, remedy = f"among {', '.join(audio)}", "Correct the name in `offsets`"
+        expected, remedy = f"among {', '.join(audio)}", "Correct the name in `offsets_s`"
         raise InputError(f"offsets are given for {', '.join(unknown)} of {take}", expected=expected, remedy=remedy)
     cameras = tuple(audio)
     if all(camera in manual for camera in cameras):
         return _manual_result(take, cameras, manual)
-    flight_s = _flight_s(cameras, camera_centres, clapper_m, settings)
+    flight_s = times_of_flight_s(cameras, camera_centres, clapper_m, settings)
     heard = [c for c, camera in enumerate(cameras) if len(audio[camera][0])]
     sounds = [Sound(np.asarray(audio[cameras[c]][0]), audio[cameras[c]][1], audio[cameras[c]][2]) for c in heard]
     events = find_events(sounds, settings) if len(sounds) > 1 else []
@@ -219,10 +219,10 @@ def _clocks(arrivals: list[Arrivals], flight_s: Array, settings: SyncSettings) -
     return flight_s - own, none, arrivals[:1]
 
 
-def _flight_s(
+def times_of_flight_s(
     cameras: tuple[str, ...], centres: Mapping[str, Array] | None, clapper_m: Array | None, settings: SyncSettings
 ) -> Array:
-    """(cameras,) time of flight of the clap; zeros where the places are not known."""
+    """(cameras,) time of flight of a sound to each camera, seconds; zeros where the places are not known."""
     if centres is None or clapper_m is None:
         return np.zeros(len(cameras))
     places = np.array([centres[camera] for camera in cameras], float)
@@ -242,7 +242,7 @@ def _refuse_doubtful(
 ) -> None:
     doubtful = [c for c, name in enumerate(cameras) if agreement[c] < settings.min_confidence and name not in manual]
     expected = f"at least {settings.min_confidence:.0%}"
-    remedy = "Check its microphone; give its start time by hand (`offsets`), or leave it out of the take"
+    remedy = "Check its microphone; give its start time by hand (`offsets_s`), or leave it out of the take"
     if doubtful:
         told = [f"{cameras[c]} of {take} agrees with {agreement[c]:.0%} of the other cameras about the clap" for c in doubtful]
         raise InputErrors([InputError(found, expected=expected, remedy=remedy) for found in told])

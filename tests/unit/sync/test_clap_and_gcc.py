@@ -80,6 +80,23 @@ def test_whole_recordings_are_aligned_without_a_clap(listen, rng) -> None:
         align_recordings(audio, take="talk")
 
 
+def test_drift_and_flight_are_found_in_a_talk(listen, rng) -> None:
+    starts, drift_ppm = np.array([0.0, 0.8, 0.3]), np.array([0.0, 60.0, -40.0])
+    centres = {f"cam{c}": np.array([x, 0.0, 1.0]) for c, x in enumerate((0.0, 1.5, -2.5))}
+    flight_s = np.array([np.linalg.norm(place) for place in centres.values()]) / SyncSettings().speed_of_sound
+    words = [(0.1 * rng.standard_normal(RATE // 4), 0.05 + 0.2 * k, flight_s) for k in range(140)]
+    audio = listen(starts, words, duration_s=26.0, noise=0.01, drift_ppm=drift_ppm)
+    found = align_recordings(audio, take="talk", camera_centres=centres, source_m=np.zeros(3))
+    # 60 ppm smear a window of 2 s over 0.12 ms; its middle is good to a tenth of that, over a lever of 20 s: 0.6 ppm
+    np.testing.assert_allclose(found.drift_ppm, drift_ppm - np.median(drift_ppm), atol=0.6)
+    # start times are moments at which each clock reads zero, up to 0.8 s before the recordings' middle by 60 ppm of drift
+    np.testing.assert_allclose(np.array(found.start_s) - found.start_s[0], starts, atol=5e-5)
+    # without places flight stays in: that is all that differs
+    heard = align_recordings(audio, take="talk")
+    apart = np.array(heard.start_s) - np.array(found.start_s)
+    np.testing.assert_allclose(apart - apart[0], -(flight_s - flight_s[0]), atol=1e-6)
+
+
 @pytest.mark.real
 def test_real_hand_claps(test_data) -> None:
     found = [onset.time_s for onset in find_claps(*read_audio(test_data / "sync" / "clap_sample1.wav"))]
