@@ -31,6 +31,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, command, help_text: str) -> argparse.ArgumentParser:
+        """A subcommand and the function that runs it, which takes the parsed options and returns the exit status."""
         sub = commands.add_parser(name, help=help_text, description=help_text)
         sub.set_defaults(command=command)
         return sub

@@ -79,9 +79,11 @@ class _Collector:
         self.before = self.low = self.high = None
 
     def complain(self, what: str) -> None:
+        """Note what the decoder said, if it is the first that it says."""
         self.error = self.error or what
 
     def add(self, frame: av.VideoFrame) -> None:
+        """Take in the next frame that decoded."""
         if frame.is_corrupt:
             self.corrupt.add(frame.pts)
             self.complain("a frame is marked as corrupt")
@@ -99,6 +101,7 @@ class _Collector:
         self.low, self.high, self.before = np.minimum(self.low, cells), np.maximum(self.high, cells), cells
 
     def survey(self, time_base_s: float, lost: list[int]) -> PictureSurvey:
+        """What was gathered; `lost` are presentation times of frames that did not decode, in the file's time base."""
         return PictureSurvey(
             time_s=np.array(self.pts) * time_base_s,
             change=np.array(self.change, np.float32),

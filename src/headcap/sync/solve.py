@@ -19,7 +19,10 @@ from headcap.sync.settings import SyncSettings
 
 Array = NDArray[np.float64]
 
-NO_CLAP_REMEDY = "Give this take's start times by hand (`offsets_s` in the session file), or find them from its whole sound with `headcap.sync.align_recordings`"
+NO_CLAP_REMEDY = (
+    "Give this take's start times by hand (`offsets_s` in the session file);"
+    " `headcap.sync.align_recordings` finds them from speech"
+)
 # an event this near to the best one in score may as well be the clap: the first of them is taken
 AS_GOOD = 0.9
 
