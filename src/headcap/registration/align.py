@@ -23,7 +23,7 @@ class AlignSettings(BaseModel):
     finalists: int = Field(10, ge=1, description="Best starts that are refined with four times the points")
     kept_share: float = Field(0.7, gt=0, le=1, description="Share of nearest pairs that count (scan and base overlap in part)")
     scale_range: tuple[float, float] = Field((0.82, 1.2), description="Size of the subject against the base head")
-    worst_fit_mm: float = Field(11.0, description="Past this trimmed distance the scan is taken for no head")
+    worst_fit_mm: float = Field(8.0, description="Past this trimmed distance a search has found no head, or not how it lies")
     seed: int = Field(11, description="Seed of the sampled points")
 
 
@@ -73,7 +73,7 @@ def align_base(
     """Place the base's skin (vertices, triangles) on the scan (vertices, triangles), both metres.
 
     Base frame: y up, z out of the face. `picks` are at least three pairs of points (base (k, 3), scan (k, 3)) that replace
-    the search. Raises `InputError` where nothing fits.
+    the search. Raises `InputError` where the search finds nothing that fits.
     """
     if picks is not None and len(picks[0]) >= 3:
         start, scale = fit_similarity(*picks)
@@ -83,7 +83,7 @@ def align_base(
     dense = [Samples.of(*mesh, settings.points * 14, settings.seed + 1) for mesh in (base, scan)]
     final = [_refine(*dense, placement, 25, settings, reach_m=0.015) for placement in best[:3]]
     winner = min(final, key=lambda placement: placement.score_mm)
-    if winner.score_mm > settings.worst_fit_mm:
+    if picks is None and winner.score_mm > settings.worst_fit_mm:
         raise InputError(
             f"the base head fits the scan to {winner.score_mm:.1f} mm at best",
             expected=f"at most {settings.worst_fit_mm:g} mm",

@@ -19,7 +19,12 @@ class LipLineSettings(BaseModel):
     pixel_mm: float = Field(0.2, gt=0, description="Grid of the frontal map of the mouth")
     smoothing_mm: float = Field(0.5, description="Scale at which the valley is searched")
     search_mm: float = Field(9.0, description="How far above or below the fitted mouth the line may lie")
-    beside_mm: float = Field(0.4, description="The line stands as high as the lips so far above and below it")
+    beside_mm: tuple[float, float] = Field(
+        (0.2, 0.6),
+        description="The line stands as high as the lips the first of these above and below it: next to the crease; "
+        "or the second, where the first looks into an open mouth",
+    )
+    steepest: float = Field(4.0, description="A fall towards the crease beyond this slope is an open mouth's")
     slope_cost: float = Field(0.6, description="Cost of a line that jumps rows between columns")
     end_share: float = Field(0.4, description="The line ends where the valley has this share of its depth in the middle")
     width_range: tuple[float, float] = Field((0.8, 1.25), description="Mouth width against the fitted one")
@@ -48,18 +53,23 @@ class _Map:
     centre: NDArray
     pixel_m: float
 
-    def place(self, row: NDArray, column: NDArray, beside_mm: float) -> NDArray:
-        """Points (k, 3) at fractional pixels, as high as the lips stand `beside_mm` above and below.
+    def place(self, row: NDArray, column: NDArray, settings: "LipLineSettings") -> NDArray:
+        """Points (k, 3) at fractional pixels, as high as the lips stand right above and below.
 
         In the valley itself the height jumps between what is seen of either lip and the gap behind.
         """
-        beside = 1e-3 * beside_mm / self.pixel_m
-        rows = np.round(np.stack([row - beside, row + beside])).astype(int)
-        columns = np.clip(np.round(column).astype(int), 0, self.height.shape[1] - 1)
-        height = self.height[np.clip(rows, 0, self.height.shape[0] - 1), columns].mean(0)
+        height = 0.5 * sum(self._beside(row, column, side, settings) for side in (-1, 1))
         x = (column - 0.5 * (self.height.shape[1] - 1)) * self.pixel_m
         y = (0.5 * (self.height.shape[0] - 1) - row) * self.pixel_m
         return self.centre + np.stack([x, y, height], axis=1) @ self.axes
+
+    def _beside(self, row: NDArray, column: NDArray, side: int, settings: "LipLineSettings") -> NDArray:
+        """Height (k,) next to the crease on one side, from farther out where that is missing or deep in a gap."""
+        columns = np.clip(np.round(column).astype(int), 0, self.height.shape[1] - 1)
+        rows = (np.round(row + side * 1e-3 * beside / self.pixel_m).astype(int) for beside in settings.beside_mm)
+        near, far = (self.height[np.clip(at, 0, self.height.shape[0] - 1), columns] for at in rows)
+        fall = settings.steepest * 1e-3 * (settings.beside_mm[1] - settings.beside_mm[0])
+        return np.where(far - near < fall, near, far)
 
 
 def find_lip_line(scan: Scan, line: NDArray, forward: NDArray, settings: LipLineSettings) -> LipLine | None:
@@ -85,7 +95,7 @@ def find_lip_line(scan: Scan, line: NDArray, forward: NDArray, settings: LipLine
     if level < 0.08:
         return None
     fine = gaussian_filter1d(path.astype(float) + _peak_offset(valley, path, columns), 0.5e-3 / view.pixel_m)
-    points = view.place(np.interp(ends, x, fine), ends / view.pixel_m + 0.5 * (len(columns) - 1), settings.beside_mm)
+    points = view.place(np.interp(ends, x, fine), ends / view.pixel_m + 0.5 * (len(columns) - 1), settings)
     seen = np.isfinite(points).all(1)
     return LipLine(points[seen], level) if seen.mean() > 0.5 else None
 

@@ -66,6 +66,7 @@ def register_scan(
     plate = Plate(placement.apply(base.vertices), base.triangles)
     target = Target(scan, settings.nonrigid)
     vertices, line = _bend(base, plate, target, scan, hidden, chosen, settings)
+    _refuse_without_lips(line, chosen)
     vertices = unfold(plate, vertices, hidden)
     figures = _figures(base, plate, vertices, target, hidden, placement, line)
     _refuse_without_face(base, vertices, target, settings)
@@ -133,6 +134,16 @@ def _line_targets(line: LipLine, vertices: NDArray, pairs: NDArray) -> Lines:
     targets = np.stack([np.interp(at, along, line.points[:, axis]) for axis in range(3)], axis=1)
     both, first = np.unique(pairs.ravel(), return_index=True)
     return Lines(both, np.repeat(targets, 2, axis=0)[first])
+
+
+def _refuse_without_lips(line: LipLine | None, picked: Lines) -> None:
+    """What has no lips where the template's came to lie is no face, or a face placed wrongly; picks vouch for the place."""
+    if line is None and len(picked.vertices) < 3:
+        raise InputError(
+            "the scan shows no line between lips where the mouth should be",
+            expected="a head with its mouth closed or nearly so",
+            remedy="Check that the scan shows the whole face; or give picks of at least three landmarks.",
+        )
 
 
 def _refuse_without_face(base: Template, vertices: NDArray, target: Target, settings: RegisterSettings) -> None:

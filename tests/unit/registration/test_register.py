@@ -134,10 +134,12 @@ def test_unknown_pick_is_named(scanned):
         register_scan(base_head(), scanned[0], QUICK, {"nose_tpi": np.zeros(3)})
 
 
-def test_no_head_is_refused():
-    ball = trimesh.creation.torus(0.1, 0.04)
-    with pytest.raises(InputError, match=r"head|face"):
-        register_scan(base_head(), check_scan(np.array(ball.vertices), np.array(ball.faces)), QUICK)
+@pytest.mark.parametrize(("half_axes_m", "reason"), [((0.08, 0.115, 0.1), "lips"), ((0.03, 0.03, 0.16), "fits the scan")])
+def test_no_head_is_refused(half_axes_m, reason):
+    # the first has a head's size and is placed well, but there is no mouth on it; the second has no head's shape
+    ball = trimesh.creation.icosphere(4)
+    with pytest.raises(InputError, match=reason):
+        register_scan(base_head(), check_scan(np.array(ball.vertices) * half_axes_m, np.array(ball.faces)), QUICK)
 
 
 def mesh():
