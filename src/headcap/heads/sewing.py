@@ -191,6 +191,7 @@ def landmarks(vertices: NDArray, marks: dict[str, NDArray], rim: NDArray, partne
     half = vertices[:, 0] >= 0
 
     def nearest(point: tuple[float, float, float]) -> int:
+        """The vertex with x >= 0 nearest to a point; on the midline where the point is."""
         away = np.linalg.norm(vertices - np.array(point), axis=1) + np.where(half, 0.0, 1e6)
         away += np.where((point[0] == 0.0) & (vertices[:, 0] != 0.0), 1e6, 0.0)
         return int(away.argmin())

@@ -56,6 +56,7 @@ def _split(triangles: NDArray, pairs: NDArray, n: int) -> NDArray[np.int32]:
     a, b, c = triangles.astype(np.int64).T
 
     def between(i: NDArray, j: NDArray) -> NDArray:
+        """The vertices (m,) put in the middle of edges i-j."""
         return n + np.searchsorted(key, np.minimum(i, j) * n + np.maximum(i, j))
 
     ab, bc, ca = between(a, b), between(b, c), between(c, a)

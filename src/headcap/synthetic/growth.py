@@ -135,6 +135,7 @@ def _with_parts(fields: Fields, hard: tuple[Part, ...]) -> Fields:
     """Fields of skin and parts: a part goes all the way with the head, and with the jaw or not."""
 
     def joined(field: NDArray, shares: list[float]) -> NDArray:
+        """A field of the skin continued by each part's share."""
         return np.concatenate([field, *(np.full(len(part.points), share) for part, share in zip(hard, shares, strict=True))])
 
     nowhere = [0.0] * len(hard)
