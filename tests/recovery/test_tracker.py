@@ -17,6 +17,7 @@ SETTINGS = TrackSettings(
     texture_size_px=256,
     graph={"spacing_mm": 10, "fine_spacing_mm": 6},
     flow={"window_px": 11},
+    lips={"reach_mm": 8},
 )
 
 
@@ -98,7 +99,9 @@ class Frames:
 def scene():
     rig = _rig()
     frames = Frames(rig)
-    template = Template(REST, TRIANGLES, UV, TRIANGLES)
+    near = (np.abs(REST[:, 0]) < 0.02) & (np.abs(REST[:, 1]) < 0.008)
+    lips = {"lips_upper": near & (SIDE > 0), "lips_lower": near & (SIDE < 0)}
+    template = Template(REST, TRIANGLES, UV, TRIANGLES, regions=lips)
     images = [frames.nearest(camera.name, 0.0)[0] for camera in rig]
     start = prepare_start(template, rig, images, None, SETTINGS)
     timeline = np.arange(FRAMES) / RATE

@@ -12,6 +12,7 @@ coarse trajectory on both sides and corrects it in the same way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -40,6 +41,7 @@ from headcap.registration.reference import Reference
 from headcap.registration.refine import Refiner
 from headcap.registration.render import project, shade, visible_vertices
 from headcap.registration.shutter import fit_motion, shifted
+from headcap.registration.template import Template
 from headcap.registration.track_settings import TrackSettings
 
 CAUTIOUS_BEND, BENDS = 0.25, (-0.5, 1.5)
@@ -65,7 +67,7 @@ class CoarseTracker:
         self.reference, self.settings = reference, settings
         template = reference.template
         self.graph = build_graph(
-            template.vertices, template.triangles, settings.graph, fine=_lips(template), shown=reference.shown
+            template.vertices, template.triangles, settings.graph, fine=lip_vertices(template), shown=reference.shown
         )
         self.solver = GraphSolver(self.graph, settings.graph)
         self.refiner = Refiner(template.vertices, template.triangles, settings.refine)
@@ -81,8 +83,12 @@ class CoarseTracker:
         time_s: float,
         photographs: list[Photograph],
         cloud: PointCloud | None,
+        finish: Finish | None = None,
     ) -> tuple[CoarseState, dict[str, float]]:
-        """Track one frame from the two before it; also the residuals left."""
+        """Track one frame from the two before it; also the residuals left.
+
+        `finish` has the last word about the frame's positions, given the motion about it.
+        """
         pose = before.pose
         if earlier is not None:
             pose = predict(before.pose, earlier.pose, (time_s - before.time_s) / (before.time_s - earlier.time_s))
@@ -104,7 +110,12 @@ class CoarseTracker:
                 triangles = self.reference.template.triangles
                 normal = normal + pairs_normal(cloud_pairs, positions, triangles, self.settings.correspondence, slide=True)
             displacement = displacement + self.refiner.solve(normal, displacement)
-        return CoarseState(time_s, pose, displacement, self.graph.deform(pose) + displacement), figures
+        surface = self.graph.deform(pose)
+        if finish is not None:
+            positions = surface + displacement
+            motion = BackwardMotion.between(time_s, positions, before, earlier, bend)
+            displacement = finish(positions, motion) - surface
+        return CoarseState(time_s, pose, displacement, surface + displacement), figures
 
     def _round(self, pose: Pose, displacement: NDArray, bend: float, frame: _Frame):
         settings, triangles = self.settings, self.reference.template.triangles
@@ -204,6 +215,10 @@ class Motion(Protocol):
         """(k, n, 3) what one unit of each of its corrections moves at that moment."""
 
 
+Finish = Callable[[NDArray, Motion], NDArray]
+"""Positions (n, 3) and the motion about them to better positions (n, 3)."""
+
+
 @dataclass(frozen=True)
 class BackwardMotion:
     """Motion about a frame from the frames before it."""
@@ -269,6 +284,7 @@ def total(parts: list[Normal]) -> Normal:
     return Normal(whole.blocks, whole.right, float(np.median([part.residual for part in parts])))
 
 
-def _lips(template) -> NDArray[np.bool_] | None:
+def lip_vertices(template: Template) -> NDArray[np.bool_] | None:
+    """(n,) the lips, outside and inside; None where the template names none."""
     masks = [mask for name, mask in template.regions.items() if name.startswith("lips")]
     return np.any(masks, axis=0) if masks else None

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.reconstruction.points import PointCloud
-from headcap.registration.coarse import SurfaceFlow
+from headcap.registration.coarse import Motion, SurfaceFlow
 from headcap.registration.correspondence import CorrespondenceSettings, PointPairs, ViewFlow, pairs_normal, point_pairs
 from headcap.registration.photographs import Photograph
 from headcap.registration.photometric import PhotometricSettings
@@ -61,7 +61,7 @@ def _lagrange(nodes: NDArray, x: float) -> NDArray[np.float64]:
 
 
 class FineTracker:
-    """Refines coarse frames one by one."""
+    """Refines coarse frames one by one; vertices `held` (n,) stay where they are."""
 
     def __init__(
         self,
@@ -70,14 +70,16 @@ class FineTracker:
         correspondence: CorrespondenceSettings,
         refine: RefineSettings,
         refinements: int,
+        *,
+        held: NDArray[np.bool_] | None = None,
     ) -> None:
         self.reference, self.photometric, self.refinements = reference, photometric, refinements
         self.correspondence = correspondence
         template = reference.template
-        self.refiner = Refiner(template.vertices, template.triangles, refine)
+        self.refiner = Refiner(template.vertices, template.triangles, refine, held=held)
 
     def refine(
-        self, coarse: NDArray, trajectory: Trajectory, photographs: list[Photograph], cloud: PointCloud | None
+        self, coarse: NDArray, trajectory: Motion, photographs: list[Photograph], cloud: PointCloud | None
     ) -> tuple[NDArray[np.float64], dict[str, float]]:
         """Positions (n, 3) of one frame from its coarse ones, and the residuals left."""
         flow = SurfaceFlow(self.reference, coarse, trajectory, photographs, self.photometric)

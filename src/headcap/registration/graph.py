@@ -35,6 +35,10 @@ class GraphSettings(BaseModel):
         3.0, description="Standard deviation of neighbouring nodes' disagreement, millimetres per 10 mm between them"
     )
     change_mm: float = Field(0.5, description="The same for the change of that disagreement since the frame before")
+    fine_factor: float = Field(
+        3.0,
+        description="Both deviations are multiplied by this between nodes on the lips: they move by themselves, not with bone",
+    )
     hidden_factor: float = Field(
         100.0, description="Smoothness deviation is multiplied by this between nodes that the reference frame does not show"
     )
@@ -70,6 +74,8 @@ class Graph:
     """(e, 2) neighbouring nodes, both directions."""
     shown: NDArray[np.float64]
     """(k,) share of each node's vertices that the reference frame shows."""
+    fine: NDArray[np.bool_]
+    """(k,) nodes on the lips."""
 
     @property
     def rest(self) -> Pose:
@@ -97,7 +103,7 @@ def build_graph(
     `fine` (n,) marks where they stand closer; `shown` (n,) vertices that the reference frame shows. The inside of the mouth is
     not shown: it must stretch freely, or it would pull the lips together.
     """
-    distances = _edge_graph(vertices, triangles)
+    distances = edge_graph(vertices, triangles)
     spacing = np.full(len(vertices), settings.spacing_mm * 1e-3)
     if fine is not None:
         spacing[fine] = settings.fine_spacing_mm * 1e-3
@@ -106,7 +112,9 @@ def build_graph(
     shown = np.ones(len(vertices)) if shown is None else np.asarray(shown, float)
     carried = np.bincount(influence.ravel(), weights.ravel(), len(nodes))
     share = np.bincount(influence.ravel(), (weights * shown[:, None]).ravel(), len(nodes)) / np.maximum(carried, 1e-9)
-    return Graph(np.asarray(vertices, float), nodes, influence, weights, _node_edges(influence, weights, len(nodes)), share)
+    edges = _node_edges(influence, weights, len(nodes))
+    lips = np.zeros(len(nodes), np.bool_) if fine is None else np.asarray(fine, bool)[nodes]
+    return Graph(np.asarray(vertices, float), nodes, influence, weights, edges, share, lips)
 
 
 def predict(pose: Pose, before: Pose, ratio: float) -> Pose:
@@ -160,6 +168,7 @@ class GraphSolver:
         graph, settings = self.graph, self.settings
         length = np.linalg.norm(np.diff(graph.vertices[graph.nodes][graph.edges], axis=1)[:, 0], axis=1)
         soft = (settings.hidden_factor ** (1 - graph.shown))[graph.edges].min(1)
+        soft = soft * np.where(graph.fine[graph.edges].any(1), settings.fine_factor, 1.0)
         spread = 1e-3 * np.maximum(length / 0.01, 0.3) * soft
         rest, change = (settings.smoothness_mm * spread) ** -2, (settings.change_mm * spread) ** -2
         return np.full(len(graph.nodes), settings.rigidity**-2), rest + change, change / (rest + change)
@@ -207,7 +216,8 @@ class _Pattern:
     edge_slots: NDArray
 
 
-def _edge_graph(vertices: NDArray, triangles: NDArray) -> sparse.csr_array:
+def edge_graph(vertices: NDArray, triangles: NDArray) -> sparse.csr_array:
+    """(n, n) lengths of a mesh's edges, metres, both directions."""
     pairs = mesh_edges(triangles).vertices
     length = np.maximum(np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1), 1e-9)
     both = np.concatenate([pairs, pairs[:, ::-1]])

@@ -27,12 +27,14 @@ class PhotometricSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    window_px: int = Field(15, description="Box over which local mean and contrast are taken, pixels")
+    window_px: int = Field(
+        9, description="Box over which local mean and contrast are taken, pixels; a wide one lets changes of shading pull"
+    )
     contrast_floor: float = Field(4.0, description="Grey levels added to the local contrast in quadrature")
     smoothing_px: float = Field(0.7, description="Gaussian smoothing of the photographs, pixels")
     noise: float = Field(2.0, description="Standard deviation of a photograph's noise, grey levels")
     mismatch: float = Field(0.15, description="Error of the rendering in units of local contrast")
-    robust_scale: float = Field(3.0, description="Residual, in its standard deviations, at which a pixel loses 3/4 of its weight")
+    robust_scale: float = Field(1.5, description="Residual, in its standard deviations, at which a pixel loses 3/4 of its weight")
     least_cosine: float = Field(0.2, description="Pixels seen more obliquely than this cosine say nothing")
     margin_px: int = Field(1, description="Pixels this near an edge of the known rendering say nothing")
 

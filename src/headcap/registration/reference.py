@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from headcap.cameras import Camera, Rig
 from headcap.meshes.normals import triangle_normals
-from headcap.registration.render import Projection, Source, project, visible_share
+from headcap.registration.render import Picture, Projection, Source, project, visible_share
 from headcap.registration.template import Template
 
 DEPTH_JUMP_M = 4e-3
@@ -43,12 +43,12 @@ def build_reference(
     sources, shown = [], np.zeros(len(template.vertices), bool)
     for camera, photograph in zip(rig, photographs, strict=True):
         projection = project(camera, template.vertices, template.triangles)
-        well = _shown_well(camera, projection, template) & (photograph is not None)
+        well = shown_well(camera, projection, template.vertices, template.triangles) & (photograph is not None)
         shown[template.triangles[well]] = True
         clear = np.zeros((camera.height, camera.width), np.bool_)
-        clear[projection.window.slices] = _away_from_edges(projection, edge_margin_px)
-        pixels = projection.pixels.astype(np.float32)
-        sources.append(_source(template, texture, photograph, clear, well & own_photographs, pixels))
+        clear[projection.window.slices] = away_from_edges(projection, edge_margin_px)
+        own = Picture(photograph, projection.pixels.astype(np.float32), clear, well) if own_photographs and well.any() else None
+        sources.append(_source(template, texture, (own,) if own else ()))
     return Reference(template, rig.cameras, tuple(sources), shown)
 
 
@@ -63,33 +63,52 @@ def scaled_reference(reference: Reference, width_px: int) -> Reference:
 
 
 def _scaled_source(source: Source, size: tuple[int, int], factor: float) -> Source:
-    pixels = ((source.photograph_pixels + 0.5) * factor - 0.5).astype(np.float32)
-    clear = cv2.resize(source.photograph_clear.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.75
-    photograph = source.photograph
-    if photograph is not None:
-        photograph = cv2.resize(photograph, size, interpolation=cv2.INTER_AREA)
-    return replace(source, photograph=photograph, photograph_pixels=pixels, photograph_clear=clear)
+    return replace(source, pictures=tuple(scaled_picture(picture, size, factor) for picture in source.pictures))
 
 
-def _source(template, texture, photograph, clear, serves, pixels) -> Source:
+def scaled_picture(picture: Picture, size: tuple[int, int], factor: float) -> Picture:
+    """The same picture reduced by `factor` to `size` (width, height)."""
+    pixels = ((picture.pixels + 0.5) * factor - 0.5).astype(np.float32)
+    clear = cv2.resize(picture.clear.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.75
+    return Picture(cv2.resize(picture.image, size, interpolation=cv2.INTER_AREA), pixels, clear, picture.serves)
+
+
+def _source(template, texture, pictures) -> Source:
     if texture is None:
-        return Source(photograph, pixels, clear, serves, None, None, None, None)
+        return Source(pictures, None, None, template.uv_triangles, None)
     height, width = texture.shape
     texels = (template.uv * (width, height) - 0.5).astype(np.float32)
-    return Source(photograph, pixels, clear, serves, texture, texels, template.uv_triangles, template.texture_known)
+    return Source(pictures, texture, texels, template.uv_triangles, template.texture_known)
 
 
-def _shown_well(camera: Camera, projection: Projection, template: Template) -> NDArray[np.bool_]:
+def part_of(reference: Reference, chosen: NDArray[np.bool_]) -> tuple[Reference, NDArray[np.int64]]:
+    """The reference of the triangles whose corners are all chosen (n,), and its vertices' indices (k,) in the whole."""
+    template, kept, inside = reference.template.part(chosen)
+    sources = tuple(
+        replace(
+            source,
+            pictures=tuple(
+                replace(picture, pixels=picture.pixels[kept], serves=picture.serves[inside]) for picture in source.pictures
+            ),
+            texture_triangles=source.texture_triangles[inside],
+        )
+        for source in reference.sources
+    )
+    return Reference(template, reference.cameras, sources, reference.shown[kept]), kept
+
+
+def shown_well(camera: Camera, projection: Projection, vertices: NDArray, triangles: NDArray) -> NDArray[np.bool_]:
+    """(m,) triangles that a camera sees free and not too obliquely."""
     local = projection.pixels - (projection.window.x0, projection.window.y0)
-    share = visible_share(projection.raster, local, template.triangles)
-    normal = triangle_normals(template.vertices, template.triangles)
-    towards = camera.centre - template.vertices[template.triangles].mean(1)
+    share = visible_share(projection.raster, local, triangles)
+    normal = triangle_normals(vertices, triangles)
+    towards = camera.centre - vertices[triangles].mean(1)
     length = np.linalg.norm(normal, axis=1) * np.linalg.norm(towards, axis=1)
     cosine = np.einsum("nk,nk->n", normal, towards) / np.maximum(length, 1e-20)
     return (share > 0.5) & (cosine > LEAST_COSINE)
 
 
-def _away_from_edges(projection: Projection, margin_px: int) -> NDArray[np.bool_]:
+def away_from_edges(projection: Projection, margin_px: int) -> NDArray[np.bool_]:
     """(h, w) of the window: seen, and not near a jump in depth, where the lens blur mixes two surfaces that move apart.
 
     Folds whose sides touch (closed lips, eyelids) stay: their dark line belongs to the skin on either side, and when they open

@@ -35,10 +35,16 @@ PATCH_M2 = 1e-4
 """Area over which the priors' standard deviations are told: 1 cm^2."""
 
 
-class Refiner:
-    """The prior's matrix of one template, and solves with it."""
+HELD_WEIGHT = 1e12
+"""Weight of a held vertex, 1 / m^2: a standard deviation of a micrometre."""
 
-    def __init__(self, vertices: NDArray, triangles: NDArray, settings: RefineSettings) -> None:
+
+class Refiner:
+    """The prior's matrix of one template, and solves with it; vertices `held` (n,) stay where they are."""
+
+    def __init__(
+        self, vertices: NDArray, triangles: NDArray, settings: RefineSettings, *, held: NDArray[np.bool_] | None = None
+    ) -> None:
         self.settings = settings
         areas = vertex_areas(vertices, triangles)
         laplacian = cotangent_laplacian(vertices, triangles, least_weight=1e-3)
@@ -46,6 +52,8 @@ class Refiner:
         stretch = laplacian / (PATCH_M2 * settings.stretch**2)
         stay = sparse.diags_array(areas / (PATCH_M2 * (settings.displacement_mm * 1e-3) ** 2))
         self.prior = sparse.csr_array(bend + stretch + stay)
+        if held is not None:
+            self.prior = sparse.csr_array(self.prior + sparse.diags_array(HELD_WEIGHT * held))
         self._factor: Factor | None = None
 
     def prepare(self, normal: Normal) -> None:

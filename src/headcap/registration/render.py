@@ -1,9 +1,10 @@
 """The textured template seen by a camera: a z-buffer, then a look-up in the texture or in the camera's own first photograph.
 
 Equation 6 compares each photograph with the template rendered "with its texture". Two sources of that texture stand side by
-side. The *baked* texture is one atlas for all cameras (section 4.2). The *own photograph* of a camera is its picture of the
-reference frame, reached through the reference mesh: the same lens blur, exposure and shading as every later photograph of that
-camera, resampled once; it serves every triangle that the camera saw well at the reference frame, the atlas serves the rest.
+side. The *baked* texture is one atlas for all cameras (section 4.2). The *own pictures* of a camera are its photographs of the
+reference frame and of keyframes (see `keyframes`), reached through the mesh as it lay there: the same lens blur, exposure and
+shading as every other photograph of that camera, resampled once. A picture serves the triangles that the camera saw well first
+in it, the atlas serves the rest.
 """
 
 from __future__ import annotations
@@ -45,25 +46,39 @@ class Projection:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A photograph of the camera itself, tied to the surface."""
+
+    image: NDArray[np.float32]
+    """(h, w) grey."""
+    pixels: NDArray[np.float32]
+    """(n, 2) the mesh's vertices in it."""
+    clear: NDArray[np.bool_]
+    """(h, w) false near folds and silhouettes, where the lens blur mixes two surfaces."""
+    serves: NDArray[np.bool_]
+    """(m,) triangles that are looked up in it."""
+
+
+@dataclass(frozen=True)
 class Source:
     """Where a camera finds the grey level of a point of the surface."""
 
-    photograph: NDArray[np.float32] | None
-    """(h, w) the camera's own picture of the reference frame."""
-    photograph_pixels: NDArray[np.float32] | None
-    """(n, 2) the reference mesh's vertices in it."""
-    photograph_clear: NDArray[np.bool_]
-    """(h, w) false near folds and silhouettes, where the lens blur mixes two surfaces."""
-    photograph_serves: NDArray[np.bool_]
-    """(m,) triangles that it shows well."""
+    pictures: tuple[Picture, ...]
+    """Its own, each triangle served by one of them at most."""
     texture: NDArray[np.float32] | None
     """(h, w) grey atlas at this camera's gain."""
     texture_pixels: NDArray[np.float32] | None
     """(k, 2) texture coordinates in texels."""
-    texture_triangles: NDArray[np.int32] | None
+    texture_triangles: NDArray[np.int32]
     """(m, 3)."""
     texture_known: NDArray[np.bool_] | None
     """(h, w) texels with a colour."""
+
+    @property
+    def served(self) -> NDArray[np.bool_]:
+        """(m,) triangles that some picture serves."""
+        none = np.zeros(len(self.texture_triangles), np.bool_)
+        return np.logical_or.reduce([none, *(picture.serves for picture in self.pictures)])
 
 
 def project(camera: Camera, vertices_world: NDArray, triangles: NDArray, *, margin_px: int = 2) -> Projection:
@@ -79,11 +94,12 @@ def shade(projection: Projection, triangles: NDArray, source: Source) -> tuple[N
     shape = projection.raster.triangle.shape
     image, known = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
     raster = projection.raster
-    for picture, clear, pixels, corners, serves in (
-        (source.texture, source.texture_known, source.texture_pixels, source.texture_triangles, ~source.photograph_serves),
-        (source.photograph, source.photograph_clear, source.photograph_pixels, triangles, source.photograph_serves),
-    ):
-        if picture is not None and pixels is not None and serves.any():
+    lookups = [(picture.image, picture.clear, picture.pixels, triangles, picture.serves) for picture in source.pictures]
+    if source.texture is not None:
+        unserved = ~source.served
+        lookups.append((source.texture, source.texture_known, source.texture_pixels, source.texture_triangles, unserved))
+    for picture, clear, pixels, corners, serves in lookups:
+        if serves.any():
             _look_up(raster.triangle, raster.barycentric, corners, pixels, picture, clear, serves, image, known)
     return image, known
 

@@ -54,6 +54,22 @@ class Template:
         """The same surface in another frame, by a rigid transform (4, 4)."""
         return self.with_vertices(transform(target_from_source, self.vertices))
 
+    def part(self, chosen: NDArray[np.bool_]) -> tuple[Template, NDArray[np.int64], NDArray[np.bool_]]:
+        """The triangles whose corners are all chosen (n,): as a template, its vertices' indices (k,), its triangles (m,)."""
+        inside = chosen[self.triangles].all(axis=1)
+        kept = np.unique(self.triangles[inside])
+        number = np.full(len(self.vertices), -1, np.int32)
+        number[kept] = np.arange(len(kept))
+        part = replace(
+            self,
+            vertices=self.vertices[kept],
+            triangles=number[self.triangles[inside]],
+            uv_triangles=self.uv_triangles[inside],
+            regions={name: mask[kept] for name, mask in self.regions.items()},
+            landmarks={name: int(number[v]) for name, v in self.landmarks.items() if number[v] >= 0},
+        )
+        return part, kept, inside
+
     def with_texture(self, texture: NDArray[np.uint8], known: NDArray[np.bool_]) -> Template:
         """The same surface with another texture (height, width, 3)."""
         return replace(self, texture=texture, texture_known=known)

@@ -7,8 +7,19 @@ from pydantic import BaseModel, ConfigDict, Field
 from headcap.registration.correspondence import CorrespondenceSettings
 from headcap.registration.flow import FlowSettings
 from headcap.registration.graph import GraphSettings
+from headcap.registration.keyframes import KeyframeSettings
 from headcap.registration.photometric import PhotometricSettings
 from headcap.registration.refine import RefineSettings
+
+
+class LipSettings(BaseModel):
+    """Surface flow on the mouth alone."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    reach_mm: float = Field(25.0, gt=0, description="Skin this near the lips, along the surface, belongs to the mouth")
+    steps: int = Field(3, ge=0, description="Steps per frame in the coarse pass; 0 leaves the lips to the whole mesh")
+    photometric: PhotometricSettings = Field(default_factory=PhotometricSettings)
 
 
 class TrackSettings(BaseModel):
@@ -44,6 +55,8 @@ class TrackSettings(BaseModel):
     flow: FlowSettings = Field(default_factory=lambda: FlowSettings(window_px=11))
     correspondence: CorrespondenceSettings = Field(default_factory=CorrespondenceSettings)
     graph: GraphSettings = Field(default_factory=GraphSettings)
-    coarse_photometric: PhotometricSettings = Field(default_factory=lambda: PhotometricSettings(window_px=11))
+    coarse_photometric: PhotometricSettings = Field(default_factory=lambda: PhotometricSettings(window_px=11, robust_scale=3.0))
     photometric: PhotometricSettings = Field(default_factory=PhotometricSettings)
+    lips: LipSettings = Field(default_factory=LipSettings)
+    keyframes: KeyframeSettings = Field(default_factory=KeyframeSettings)
     refine: RefineSettings = Field(default_factory=RefineSettings)

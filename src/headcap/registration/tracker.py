@@ -2,7 +2,8 @@
 
 Two passes. `track_anchors` follows the take from its first frame to its last at reduced resolution. `track_chunk` then refines
 any range of frames at full resolution; each frame depends on the coarse trajectory and its own photographs alone, so chunks run
-in parallel and meet without a seam. Both compare photographs with the fixed reference frame, never frame with frame.
+in parallel and meet without a seam. Both compare photographs with the fixed reference frame, never frame with frame; what that
+frame hides (the inside of the lips) is added by keyframes (see `keyframes`).
 
 Cameras do not fire together: each photograph is compared with the mesh at that photograph's own moment (see `coarse`, `fine`).
 Section 4.2 of the neck paper; Li et al. 2009.
@@ -11,6 +12,7 @@ Section 4.2 of the neck paper; Li et al. 2009.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +21,10 @@ from headcap.cameras import Rig
 from headcap.errors import InputError
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.anchors import MARGIN, Anchors
-from headcap.registration.coarse import CoarseState, CoarseTracker
+from headcap.registration.coarse import CoarseState, CoarseTracker, Finish, lip_vertices
 from headcap.registration.fine import FineTracker, Trajectory
+from headcap.registration.keyframes import Keyframe, newly_seen, tie_keyframe, with_keyframe
+from headcap.registration.lips import LipTracker
 from headcap.registration.photographs import FrameSource, Photograph, resize, take_photographs
 from headcap.registration.reference import Reference, build_reference, scaled_reference
 from headcap.registration.template import Template
@@ -38,27 +42,9 @@ def track_anchors(
     times; `clouds` gives a frame's points by its time, or None.
     """
     times = np.asarray(timeline_s, float)
-    reader = _Reader(rig, frames, times, settings)
-    reference = scaled_reference(reader.reference(start, times[0]), settings.coarse_width_px)
-    tracker, polisher = (
-        CoarseTracker(reference, settings),
-        FineTracker(reference, settings.coarse_photometric, settings.correspondence, settings.refine, 1),
-    )
-    states, positions, residuals = [tracker.start(times[0])], [start.vertices], [0.0]
-    held = [(resize(reader.read(times[0]), reference.cameras), None)]
-    for time_s in times[1:]:
-        held.append((resize(reader.read(time_s), reference.cameras), clouds(time_s) if clouds is not None else None))
-        earlier = states[-2] if len(states) > 1 else None
-        state, figures = tracker.advance(states[-1], earlier, time_s, *held[-1])
-        states.append(state)
-        residuals.append(figures["flow_residual_px"])
-        if len(states) > 2:
-            # with the frame after it known, a frame's motion is known on both sides
-            states, held = states[-MARGIN - 2 :], held[-2:]
-            positions.append(polisher.refine(states[-2].positions, _through(states), *held[0])[0])
-    if len(times) > 1:
-        positions.append(states[-1].positions)
-    return Anchors(0, times, np.array(positions, np.float32), np.array(residuals), float(times[0]))
+    if len(times) == 0:
+        raise ValueError("a take without frames cannot be tracked")
+    return _CoarsePass(start, _Reader(rig, frames, times, settings), clouds, settings).run()
 
 
 def track_chunk(
@@ -78,6 +64,8 @@ def track_chunk(
     """
     reader = _Reader(rig, frames, anchors.time_s, settings)
     reference = scaled_reference(reader.reference(start, anchors.start_s), settings.fine_width_px)
+    for keyframe in anchors.keyframes:
+        reference = with_keyframe(reference, keyframe, reader.read(keyframe.time_s))
     tracker = FineTracker(reference, settings.photometric, settings.correspondence, settings.refine, settings.fine_refinements)
     positions, figures = [], []
     for number in range(first, last + 1):
@@ -97,11 +85,103 @@ def trajectory(anchors: Anchors, number: int) -> Trajectory:
     return Trajectory(anchors.time_s[around], anchors.positions[around].astype(float), k - around.start)
 
 
+class _CoarsePass:
+    """One run of the coarse pass over a take; its references grow as it finds keyframes."""
+
+    def __init__(self, start: Template, reader: _Reader, clouds: Clouds | None, settings: TrackSettings) -> None:
+        self.reader, self.clouds, self.settings = reader, clouds, settings
+        self.full = reader.reference(start, reader.times_s[0])
+        reference = scaled_reference(self.full, settings.coarse_width_px)
+        self.tracker = CoarseTracker(reference, settings)
+        self.lips = self._lip_tracker()
+        self.polisher = FineTracker(reference, settings.coarse_photometric, settings.correspondence, settings.refine, 1)
+        self.keyframes: list[Keyframe] = []
+
+    def run(self) -> Anchors:
+        times = self.reader.times_s
+        states, residuals = [self.tracker.start(times[0])], [0.0]
+        positions, seen = [states[0].positions], [self._see(times[0])]
+        for time_s in times[1:]:
+            seen.append(self._see(time_s))
+            earlier = states[-2] if len(states) > 1 else None
+            finish = self._finish(seen[-1])
+            state, figures = self.tracker.advance(states[-1], earlier, time_s, seen[-1].small, seen[-1].cloud, finish)
+            states.append(state)
+            residuals.append(figures["flow_residual_px"])
+            if len(states) > 2:
+                # with the frame after it known, a frame's motion is known on both sides
+                states, seen = states[-MARGIN - 2 :], seen[-2:]
+                positions.append(self._settle(states, seen[0]))
+        if len(times) > 1:
+            positions.append(states[-1].positions)
+        return Anchors(0, times, np.array(positions, np.float32), np.array(residuals), float(times[0]), tuple(self.keyframes))
+
+    def _see(self, time_s: float) -> _Seen:
+        photographs = self.reader.read(time_s)
+        small = resize(photographs, self.tracker.reference.cameras)
+        return _Seen(photographs, small, self.clouds(time_s) if self.clouds is not None else None)
+
+    def _lip_tracker(self) -> LipTracker | None:
+        settings = self.settings
+        if settings.lips.steps == 0 or lip_vertices(self.full.template) is None:
+            return None
+        reference = scaled_reference(self.full, settings.fine_width_px)
+        return LipTracker(reference, settings.lips, settings.correspondence, settings.refine)
+
+    def _finish(self, seen: _Seen) -> Finish | None:
+        """What ends a frame at full resolution."""
+        if self.lips is None:
+            return None
+        photographs = resize(seen.photographs, self.lips.cameras)
+        return lambda positions, motion: self.lips.refine(positions, motion, photographs, seen.cloud)
+
+    def _settle(self, states: list[CoarseState], seen: _Seen) -> NDArray:
+        """Polished positions (n, 3) of the last state but one; it may become a keyframe."""
+        motion = _through(states)
+        positions = self.polisher.refine(states[-2].positions, motion, seen.small, seen.cloud)[0]
+        finish = self._finish(seen)
+        if finish is not None:
+            positions = finish(positions, motion)
+        if seen.cloud is not None and len(self.keyframes) < self.settings.keyframes.most:
+            self._grow(states[-2].time_s, positions, motion, seen)
+        return positions
+
+    def _grow(self, time_s: float, positions: NDArray, motion: Trajectory, seen: _Seen) -> None:
+        settings, cloud = self.settings, seen.cloud
+        if newly_seen(self.full, positions, cloud, settings.keyframes)[1] < settings.keyframes.least_area_mm2:
+            return
+        tracker = FineTracker(
+            self.full, settings.photometric, settings.correspondence, settings.refine, settings.fine_refinements
+        )
+        sharp = tracker.refine(positions, motion, seen.photographs, cloud)[0]
+        strip, area_mm2 = newly_seen(self.full, sharp, cloud, settings.keyframes)
+        if area_mm2 >= settings.keyframes.least_area_mm2:
+            offsets = motion.offsets([photograph.delay_s for photograph in seen.photographs])
+            self._add(tie_keyframe(self.full, time_s, sharp, offsets, seen.photographs, strip), seen.photographs)
+
+    def _add(self, keyframe: Keyframe, photographs: list[Photograph]) -> None:
+        self.keyframes.append(keyframe)
+        self.full = with_keyframe(self.full, keyframe, photographs)
+        reference = with_keyframe(self.tracker.reference, keyframe, photographs)
+        self.tracker.reference = self.polisher.reference = reference
+        self.lips = self._lip_tracker()
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What there is of one frame."""
+
+    photographs: list[Photograph]
+    small: list[Photograph]
+    """The same at the coarse pass's resolution."""
+    cloud: PointCloud | None
+
+
 class _Reader:
     """Photographs by time, and the reference they are compared with."""
 
     def __init__(self, rig: Rig, frames: FrameSource, times_s: NDArray, settings: TrackSettings) -> None:
-        self.rig, self.frames, self.settings = rig, frames, settings
+        self.rig, self.frames, self.times_s, self.settings = rig, frames, times_s, settings
         step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else np.inf
         self.gap_s = settings.time_gap_frames * step_s
 

@@ -47,7 +47,7 @@ def test_unmoved_mesh_shows_the_photograph_itself(reference):
 
 
 def test_edges_of_the_surface_do_not_serve(reference):
-    clear = reference.sources[0].photograph_clear
+    clear = reference.sources[0].pictures[0].clear
     projection = project(_camera(), reference.template.vertices, reference.template.triangles)
     rows, columns = np.nonzero(projection.raster.hit)
     assert not clear[projection.window.slices][rows.min(), columns.min()]
@@ -70,7 +70,7 @@ def test_reduced_reference_ties_the_same_points(reference):
     small = scaled_reference(reference, 60)
     assert small.cameras[0].size == (60, 60)
     pixels, _ = small.cameras[0].project(reference.template.vertices)
-    assert np.abs(pixels - small.sources[0].photograph_pixels).max() < 1e-3
+    assert np.abs(pixels - small.sources[0].pictures[0].pixels).max() < 1e-3
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.7])
