@@ -1,7 +1,7 @@
 """Runs the benchmarks: `python tests/bench/run.py [NAME ...]`; results go to results/bench/<name>.json.
 
-A benchmark is a module of this folder with `run(out_path: Path) -> None` that measures ours and the peer in turn, in
-its own process, and writes its figures with `write`. Without names all run, one after the other.
+A benchmark is a module of this folder with `run(out_path: Path) -> None` that measures ours and the peer (where
+there is one) in turn, in its own process, and writes its figures with `write`. Without names all run, one after the other.
 """
 
 from __future__ import annotations
@@ -46,18 +46,21 @@ def peak_memory_gib() -> float:
     return max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)) / 2**20
 
 
-def write(out_path: Path, *, ours: dict, peer: dict, figures: dict | None = None) -> dict:
+def write(
+    out_path: Path, *, ours: dict, peer: dict | None = None, figures: dict | None = None, memory_gib: float | None = None
+) -> dict:
     """Write one benchmark: what both took, their ratio (peer over ours), peak memory and versions.
 
-    `ours` and `peer` are what `measure` gave, with `name` and any figures of their own.
+    `ours` and `peer` are what `measure` gave, with `name` and any figures of their own; without a peer there is no ratio.
+    `memory_gib` replaces the peak of this process and its children.
     """
+    compared = {"cpu_ratio": "cpu_seconds", "seconds_ratio": "seconds"}
+    against = {"peer": peer} | {ratio: peer[key] / ours[key] for ratio, key in compared.items()} if peer else {}
     document = {
         "schema": "headcap.bench/1",
         "ours": ours,
-        "peer": peer,
-        "cpu_ratio": peer["cpu_seconds"] / ours["cpu_seconds"],
-        "seconds_ratio": peer["seconds"] / ours["seconds"],
-        "peak_memory_gib": peak_memory_gib(),
+        **against,
+        "peak_memory_gib": memory_gib or peak_memory_gib(),
         "figures": figures or {},
         "versions": versions(),
         "machine": {"python": platform.python_version(), "processor": platform.machine(), "cores": os.cpu_count()},
@@ -94,9 +97,11 @@ def _run_one(name: str, out_path: Path) -> None:
 
 def _summary(out_path: Path) -> str:
     document = json.loads(out_path.read_text())
-    ours, peer = document["ours"], document["peer"]
-    took = [f"{side.get('name', label)} {side['cpu_seconds']:.2f} CPU-s" for label, side in (("ours", ours), ("peer", peer))]
-    return f"{', '.join(took)}, ratio {document['cpu_ratio']:.2f}, peak {document['peak_memory_gib']:.2f} GiB -> {out_path}"
+    sides = {label: document[label] for label in ("ours", "peer") if label in document}
+    took = [f"{side.get('name', label)} {side['cpu_seconds']:.2f} CPU-s" for label, side in sides.items()]
+    if "cpu_ratio" in document:
+        took.append(f"ratio {document['cpu_ratio']:.2f}")
+    return f"{', '.join(took)}, peak {document['peak_memory_gib']:.2f} GiB -> {out_path}"
 
 
 def main(arguments: list[str]) -> int:
