@@ -213,9 +213,7 @@ def meshes(wildcards):
 
 def chunk_residuals(wildcards):
     """What the tracker was left with, chunk by chunk, of a whole take."""
-    return [
-        mesh.removesuffix(".npy") + ".residuals.json" for mesh in meshes(wildcards)
-    ]
+    return [mesh.removesuffix(".npy") + ".residuals.json" for mesh in meshes(wildcards)]
 
 
 def session_clouds(wildcards):
@@ -291,9 +289,7 @@ def session_results(wildcards):
 
 def sync_figures(wildcards):
     """What sync drew of each take."""
-    return [
-        f"results/{wildcards.session}/sync/{take}.png" for take in takes(wildcards)
-    ]
+    return [f"results/{wildcards.session}/sync/{take}.png" for take in takes(wildcards)]
 
 
 def take_residuals(wildcards):
