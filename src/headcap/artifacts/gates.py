@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from headcap.errors import GateFailure
 
 # figures of which more is better; of all others, less is
-_MINIMA = ("coverage", "poses", "points", "confidence", "completeness", "share")
+_MINIMA = ("within_", "coverage", "poses", "points", "confidence", "completeness", "share")
 
 
 @dataclass(frozen=True)
