@@ -20,33 +20,54 @@ class CloudErrors:
     point_error_mm: NDArray[np.float32]
     """(n_points,) distance of each point to the surface."""
     sample_gap_mm: NDArray[np.float32]
-    """(n_samples,) distance of each seen surface sample to the nearest point."""
+    """(n_samples,) distance to the nearest point of each surface sample that enough cameras of the rig have in view."""
+    seen: NDArray[np.bool_]
+    """(n_samples,) true where enough cameras that were recording have it in view."""
 
 
 def compare_cloud(
-    points_m: NDArray, vertices_m: NDArray, triangles: NDArray, true_rig: Rig, settings: EvaluateSettings | None = None
+    points_m: NDArray,
+    vertices_m: NDArray,
+    triangles: NDArray,
+    true_rig: Rig,
+    settings: EvaluateSettings | None = None,
+    *,
+    recording: tuple[str, ...] | None = None,
 ) -> CloudErrors:
-    """Errors of points (n, 3), already in the true world, against the true surface (v, 3), (m, 3) at their time."""
+    """Errors of points (n, 3), already in the true world, against the true surface (v, 3), (m, 3) at their time.
+
+    `recording` names the cameras that photographed that time, all of them where it is None: cameras start and stop one by one,
+    and one that has stopped sees nothing.
+    """
     settings = settings or EvaluateSettings()
     if len(points_m) == 0:
         raise ValueError("a point cloud without points cannot be compared")
     error = Surface(vertices_m, triangles).closest(points_m).distance
     samples, normals = sample_surface(vertices_m, triangles, settings.surface_samples)
-    cameras = count_cameras(true_rig, vertices_m, triangles, samples, normals, max_angle_deg=settings.max_angle_deg)
-    seen = samples[cameras >= settings.min_cameras]
-    gap = cKDTree(points_m).query(seen)[0]
-    return CloudErrors((1e3 * error).astype(np.float32), (1e3 * gap).astype(np.float32))
+    groups = ([], [])
+    for camera in true_rig:
+        groups[recording is None or camera.name in recording].append(camera)
+    stopped, present = (
+        count_cameras(Rig(tuple(group)), vertices_m, triangles, samples, normals, max_angle_deg=settings.max_angle_deg)
+        for group in groups
+    )
+    in_view = stopped + present >= settings.min_cameras
+    gap = cKDTree(points_m).query(samples[in_view])[0]
+    seen = present[in_view] >= settings.min_cameras
+    return CloudErrors((1e3 * error).astype(np.float32), (1e3 * gap).astype(np.float32), seen)
 
 
 def summarise_clouds(clouds: list[CloudErrors]) -> dict[str, float]:
     """The `reconstruct` figures over all compared frames of a take, points and samples pooled; completeness in percent."""
     error = np.concatenate([cloud.point_error_mm for cloud in clouds])
-    gap = np.concatenate([cloud.sample_gap_mm for cloud in clouds])
+    whole = np.concatenate([cloud.sample_gap_mm for cloud in clouds])
+    gap = whole[np.concatenate([cloud.seen for cloud in clouds])]
     return {
         "reconstruct.error_median_mm": float(np.median(error)),
         "reconstruct.error_p90_mm": float(np.percentile(error, 90)),
         "reconstruct.completeness_half_mm": _share_within(gap, 0.5),
         "reconstruct.completeness_1mm": _share_within(gap, 1.0),
+        "reconstruct.completeness_1mm_whole_rig": _share_within(whole, 1.0),
     }
 
 

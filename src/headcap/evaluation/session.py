@@ -24,6 +24,7 @@ from headcap.evaluation.truth import Truth
 from headcap.geometry.transforms import transform
 from headcap.meshes.closest_point import Surface
 from headcap.reconstruction.points import PointCloud
+from headcap.recordings.takes import IngestedTake
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 from headcap.sync.offsets import TimeOffsets
@@ -48,6 +49,10 @@ class SessionFolder:
     def sync_figure(self, take: str) -> Path:
         """What sync drew of the clap."""
         return self.folder / "sync" / f"{take}.png"
+
+    def ingested(self, take: str) -> Path:
+        """Recordings of a take."""
+        return self.folder / "ingest" / f"{take}.json"
 
     def clouds(self, take: str) -> list[Path]:
         """Point clouds of a take in the order of frames; those of frames the take no longer has are left aside."""
@@ -122,7 +127,22 @@ class TruthComparison:
         cloud = PointCloud.load(path)
         true_vertices = self.truth.take(take).at(cloud.time_s - self.clock_shift_s(take))
         points = transform(self.truth_world_from_world, cloud.positions.astype(np.float64))
-        return compare_cloud(points, true_vertices, self.truth.triangles, self.truth.rig, self.settings)
+        recording = self.recording(take, cloud.time_s)
+        return compare_cloud(points, true_vertices, self.truth.triangles, self.truth.rig, self.settings, recording=recording)
+
+    def recording(self, take: str, time_s: float) -> tuple[str, ...] | None:
+        """Cameras with a picture within one frame interval of a common time, the rule by which a take's frames are counted.
+
+        None where the session no longer has its list of recordings.
+        """
+        if not self.session.ingested(take).is_file():
+            return None
+        ingested, offsets = IngestedTake.load(self.session.ingested(take)), TimeOffsets.load(self.session.offsets(take))
+        near = {
+            recording.camera: np.abs(offsets.common_time(recording.camera, np.array(recording.frame_times_s)) - time_s).min()
+            for recording in ingested.recordings
+        }
+        return tuple(r.camera for r in ingested.recordings if near[r.camera] <= 1 / r.rate_hz)
 
     @property
     def truth_world_from_world(self) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from headcap.cameras import Rig
 from headcap.evaluation.reconstruction import compare_cloud, sample_surface, summarise_clouds
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.visibility import count_cameras
@@ -29,6 +30,23 @@ def test_completeness_is_the_share_that_has_points(still_world):
     # 0.3 mm apart, 20,000 samples give the share to 0.3 % (one sigma).
     assert figures["reconstruct.completeness_half_mm"] == pytest.approx(50.25, abs=1.0)
     assert figures["reconstruct.completeness_1mm"] == pytest.approx(50.5, abs=1.0)
+
+
+def test_cameras_that_have_stopped_see_nothing(still_world):
+    plane, triangles, rig = still_world.motion(0.0), still_world.triangles, still_world.rig
+    points, normals = sample_surface(plane, triangles, 160_000)
+    facing = dict(max_angle_deg=SETTINGS.max_angle_deg)
+    some = Rig(tuple(rig)[: SETTINGS.min_cameras])
+    covered = points[count_cameras(some, plane, triangles, points, normals, **facing) >= SETTINGS.min_cameras]
+    asked = len(covered) < len(points)
+    now = summarise_clouds([compare_cloud(covered, plane, triangles, rig, SETTINGS, recording=some.names)])
+    # four points to a square millimetre: exp(-4 pi) of what the three see has none within 1 mm, but for the rim of their view
+    assert now["reconstruct.completeness_1mm"] > 97
+    whole = summarise_clouds([compare_cloud(covered, plane, triangles, rig, SETTINGS)])
+    assert whole["reconstruct.completeness_1mm"] == pytest.approx(now["reconstruct.completeness_1mm_whole_rig"])
+    assert (whole["reconstruct.completeness_1mm"] < now["reconstruct.completeness_1mm"] - 1) == asked
+    none = summarise_clouds([compare_cloud(points, plane, triangles, rig, SETTINGS, recording=())])
+    assert np.isnan(none["reconstruct.completeness_1mm"])
 
 
 def test_figures_do_not_depend_on_the_world_frame(moving_world, rng):
