@@ -136,4 +136,5 @@ def _cloud(head: Template, rig: Rig, time_s: float) -> PointCloud:
 
 def _peer(head: Template, cloud: PointCloud) -> np.ndarray:
     source = trimesh.Trimesh(head.vertices, head.triangles, process=False)
-    return trimesh.registration.nricp_amberg(source, cloud.positions.astype(float))
+    # with `use_faces`, its default, it asks a target without faces for them and fails
+    return trimesh.registration.nricp_amberg(source, cloud.positions.astype(float), use_faces=False)
