@@ -118,11 +118,16 @@ def _supported(vertices: NDArray, triangles: NDArray, cloud: PointCloud, setting
         return np.zeros(len(triangles), np.bool_)
     centres, normals = vertices[triangles].mean(axis=1), triangle_normals(vertices, triangles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
-    distance, nearest = cKDTree(cloud.positions).query(centres, distance_upper_bound=1e-3 * settings.reach_mm)
+    reach_m = 1e-3 * settings.reach_mm
+    near = ((cloud.positions > centres.min(0) - reach_m) & (cloud.positions < centres.max(0) + reach_m)).all(axis=1)
+    if not near.any():
+        return np.zeros(len(triangles), np.bool_)
+    positions, directions = cloud.positions[near], cloud.normals[near]
+    distance, nearest = cKDTree(positions).query(centres, distance_upper_bound=reach_m)
     found = np.isfinite(distance)
     nearest = np.where(found, nearest, 0)
-    along = np.abs(np.einsum("ki,ki->k", cloud.positions[nearest] - centres, normals))
-    alike = np.einsum("ki,ki->k", cloud.normals[nearest], normals) > 0.7
+    along = np.abs(np.einsum("ki,ki->k", positions[nearest] - centres, normals))
+    alike = np.einsum("ki,ki->k", directions[nearest], normals) > 0.7
     return found & alike & (along < 1e-3 * settings.support_mm)
 
 
