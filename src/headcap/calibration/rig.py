@@ -121,6 +121,7 @@ class _Problem:
                 self.reconstruction.add_point3D(corner, track)
 
     def solve(self, loss_px: float | None, max_iterations: int) -> Adjusted:
+        """Bundle adjustment with the board's corners held; a robust loss of scale `loss_px` or none."""
         config = pycolmap.BundleAdjustmentConfig()
         for image_id, _ in self.images:
             config.add_image(image_id)

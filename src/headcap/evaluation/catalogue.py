@@ -68,14 +68,13 @@ CATALOGUE: dict[str, FigureKind] = {
     "calibrate.rotation_error_deg": FigureKind("deg", "camera rotations after the same alignment, rms", 0.03),
     "reconstruct.error_median_mm": _length("points to the true surface at that time, median", 0.09),
     "reconstruct.error_p90_mm": _length("points to the true surface at that time, 90th percentile", 0.3),
-    "reconstruct.completeness_half_mm": FigureKind(
-        "%", "true surface seen by 3 cameras that were recording with a point within 0.5 mm", 75.0, True
+    "reconstruct.completeness_half_mm": FigureKind("%", "true surface seen by 3 cameras with a point within 0.5 mm", 75.0, True),
+    "reconstruct.completeness_1mm": FigureKind("%", "true surface seen by 3 cameras with a point within 1 mm", 94.0, True),
+    "reconstruct.completeness_half_mm_recording": _stated(
+        "%", "the same within 0.5 mm, counting only cameras that were recording", at_least=True
     ),
-    "reconstruct.completeness_1mm": FigureKind(
-        "%", "true surface seen by 3 cameras that were recording with a point within 1 mm", 94.0, True
-    ),
-    "reconstruct.completeness_1mm_whole_rig": _stated(
-        "%", "the same with cameras counted that had stopped or not begun", at_least=True
+    "reconstruct.completeness_1mm_recording": _stated(
+        "%", "the same within 1 mm, counting only cameras that were recording", at_least=True
     ),
     "reconstruct.points": _stated("", "points per frame, median", at_least=True),
     "register.error_median_mm": _stated("mm", "template vertices to the scan's surface, median", 0.15),

@@ -60,14 +60,15 @@ def compare_cloud(
 def summarise_clouds(clouds: list[CloudErrors]) -> dict[str, float]:
     """The `reconstruct` figures over all compared frames of a take, points and samples pooled; completeness in percent."""
     error = np.concatenate([cloud.point_error_mm for cloud in clouds])
-    whole = np.concatenate([cloud.sample_gap_mm for cloud in clouds])
-    gap = whole[np.concatenate([cloud.seen for cloud in clouds])]
+    gap = np.concatenate([cloud.sample_gap_mm for cloud in clouds])
+    recording = gap[np.concatenate([cloud.seen for cloud in clouds])]
     return {
         "reconstruct.error_median_mm": float(np.median(error)),
         "reconstruct.error_p90_mm": float(np.percentile(error, 90)),
         "reconstruct.completeness_half_mm": _share_within(gap, 0.5),
         "reconstruct.completeness_1mm": _share_within(gap, 1.0),
-        "reconstruct.completeness_1mm_whole_rig": _share_within(whole, 1.0),
+        "reconstruct.completeness_half_mm_recording": _share_within(recording, 0.5),
+        "reconstruct.completeness_1mm_recording": _share_within(recording, 1.0),
     }
 
 

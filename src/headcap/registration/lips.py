@@ -81,7 +81,9 @@ class _PartMotion:
     vertices: NDArray[np.int64]
 
     def offsets(self, delays_s: list[float]) -> list[NDArray[np.float64]]:
+        """Motion (k, 3) to each of the moments `delays_s` later."""
         return [offset[self.vertices] for offset in self.whole.offsets(delays_s)]
 
     def fields(self, delay_s: float) -> NDArray[np.float64]:
+        """(c, k, 3) what one unit of each correction moves."""
         return self.whole.fields(delay_s)[:, self.vertices]

@@ -68,6 +68,7 @@ class Refiner:
         right = normal.right - self.prior @ displacement
 
         def apply(vectors: NDArray) -> NDArray:
+            """Prior and data times vectors (n, 3)."""
             image = self.prior @ vectors
             _add_blocks(normal.blocks, vectors, image)
             return image

@@ -98,6 +98,7 @@ class _CoarsePass:
         self.keyframes: list[Keyframe] = []
 
     def run(self) -> Anchors:
+        """Every frame in turn; each is settled once the frame after it is known."""
         times = self.reader.times_s
         states, residuals = [self.tracker.start(times[0])], [0.0]
         positions, seen = [states[0].positions], [self._see(times[0])]
