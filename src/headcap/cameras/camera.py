@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from headcap.cameras.projection import project_points, project_points_with_jacobian
 from headcap.geometry.transforms import invert
 
 Array = NDArray[np.float64]
@@ -59,11 +60,10 @@ class Camera:
 
         Points at or behind the camera plane come back as NaN pixels.
         """
-        local = points_world @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
-        z = local[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            xy = np.where(z[..., None] > 1e-9, local[..., :2] / z[..., None], np.nan)
-        return self.pixels_from_normalised(xy), z
+        points = np.ascontiguousarray(points_world, np.float64)
+        pixels, depth = np.empty((points.size // 3, 2)), np.empty(points.size // 3)
+        project_points(points.reshape(-1, 3), self.camera_from_world, self.matrix, self.distortion, pixels, depth)
+        return pixels.reshape(*points.shape[:-1], 2), depth.reshape(points.shape[:-1])
 
     def pixels_from_normalised(self, xy: Array) -> Array:
         """Ideal image plane coordinates (..., 2) to distorted pixels (..., 2)."""
@@ -78,25 +78,10 @@ class Camera:
 
     def project_with_jacobian(self, points_world: Array) -> tuple[Array, Array]:
         """Pixels (n, 2) and their derivative (n, 2, 3) with respect to the world points (n, 3)."""
-        rotation = self.camera_from_world[:3, :3]
-        local = points_world @ rotation.T + self.camera_from_world[:3, 3]
-        x, y = local[:, 0] / local[:, 2], local[:, 1] / local[:, 2]
-        k1, k2, p1, p2, k3 = self.distortion
-        r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)
-        dx = np.stack(
-            [
-                np.stack([radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x, 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y], -1),
-                np.stack([2 * x * y * slope + 2 * p1 * x + 2 * p2 * y, radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x], -1),
-            ],
-            axis=-2,
-        )
-        plane = np.zeros((len(x), 2, 3))
-        plane[:, 0, 0] = plane[:, 1, 1] = 1 / local[:, 2]
-        plane[:, 0, 2], plane[:, 1, 2] = -x / local[:, 2], -y / local[:, 2]
-        jacobian = self.matrix[:2, :2] @ dx @ plane @ rotation
-        return self.pixels_from_normalised(np.stack([x, y], -1)), jacobian
+        points = np.ascontiguousarray(points_world, np.float64)
+        pixels, jacobian = np.empty((len(points), 2)), np.empty((len(points), 2, 3))
+        project_points_with_jacobian(points, self.camera_from_world, self.matrix, self.distortion, pixels, jacobian)
+        return pixels, jacobian
 
     def undistort_pixels(self, pixels: Array) -> Array:
         """Distorted pixels (n, 2) to ideal image plane coordinates (n, 2)."""

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 def triangle_normals(vertices: NDArray, triangles: NDArray) -> NDArray:
     """Area-weighted normals (n_triangles, 3): half the cross product of the edges is left unscaled."""
-    corners = vertices[triangles]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.empty((len(triangles), 3))
+    _normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int32), normals)
+    return normals
 
 
 def vertex_normals(vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]:
@@ -17,6 +18,15 @@ def vertex_normals(vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]
     _sum_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int32), sums)
     length = np.sqrt((sums**2).sum(1, keepdims=True))
     return sums / np.where(length > 0, length, 1.0)
+
+
+@njit(cache=True)
+def _normals(vertices, triangles, normals):
+    for f in range(len(triangles)):
+        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        normals[f, 0], normals[f, 1], normals[f, 2] = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
 @njit(cache=True)

@@ -51,22 +51,21 @@ def rasterise_pixels(
     width, height = size
     triangle = np.full((height, width), -1, np.int32)
     barycentric = np.zeros((height, width, 3), np.float32)
-    z_buffer = np.full((height, width), np.inf, np.float32)
+    nearest = np.zeros((height, width), np.float32)
+    pixels, triangles = np.ascontiguousarray(pixels, np.float64), np.ascontiguousarray(triangles, np.int32)
     inverse_depth = np.where(np.isfinite(pixels).all(1) & (depth > 1e-9), 1.0 / np.where(depth > 1e-9, depth, 1.0), 0.0)
-    _fill(
-        np.ascontiguousarray(pixels, np.float64),
-        inverse_depth,
-        np.ascontiguousarray(triangles, np.int32),
-        triangle,
-        barycentric,
-        z_buffer,
-        cull_back_faces,
-    )
-    return Raster(triangle, barycentric, z_buffer)
+    _fill(pixels, inverse_depth, triangles, triangle, nearest, cull_back_faces)
+    _interpolate(pixels, inverse_depth, triangles, triangle, barycentric, nearest)
+    return Raster(triangle, barycentric, nearest)
 
 
-@njit(cache=True, error_model="numpy")
-def _fill(pixels, inverse_depth, triangles, triangle, barycentric, z_buffer, cull_back_faces):
+ON_EDGE_PX = 1e-9
+"""A pixel on a shared edge belongs to both triangles: rounding must not leave it to neither."""
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "arcp", "nsz"})
+def _fill(pixels, inverse_depth, triangles, triangle, nearest, cull_back_faces):
+    """The nearest triangle of each pixel and 1 / z there, which is linear in the image."""
     height, width = triangle.shape
     for f in range(len(triangles)):
         a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
@@ -74,27 +73,61 @@ def _fill(pixels, inverse_depth, triangles, triangle, barycentric, z_buffer, cul
         if wa == 0.0 or wb == 0.0 or wc == 0.0:
             continue
         ax, ay, bx, by, cx, cy = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
+        y0, y1 = max(0, int(np.ceil(min(ay, by, cy)))), min(height - 1, int(np.floor(max(ay, by, cy))))
         # image y points down: a triangle whose outward side faces the camera has negative area here
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0.0 or (cull_back_faces and area > 0.0):
+        if y1 < y0 or area == 0.0 or (cull_back_faces and area > 0.0):
             continue
-        x0 = max(0, int(np.ceil(min(ax, bx, cx))))
-        x1 = min(width - 1, int(np.floor(max(ax, bx, cx))))
-        y0 = max(0, int(np.ceil(min(ay, by, cy))))
-        y1 = min(height - 1, int(np.floor(max(ay, by, cy))))
-        inverse_area = 1.0 / area
+        # barycentrics u, v, 1 - u - v are linear in x: each tells where along a row it turns negative
+        step_u, step_v = (by - cy) / area, (cy - ay) / area
+        step_w = -step_u - step_v
+        root_u, root_v, root_w = _reciprocal(step_u), _reciprocal(step_v), _reciprocal(step_w)
+        step_near = step_u * (wa - wc) + step_v * (wb - wc)
         for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                u = ((bx - x) * (cy - y) - (by - y) * (cx - x)) * inverse_area
-                v = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) * inverse_area
-                w = 1.0 - u - v
-                if u < 0.0 or v < 0.0 or w < 0.0:
-                    continue
-                # 1/z is linear in the image, which makes the barycentrics perspective-correct
-                z = 1.0 / (u * wa + v * wb + w * wc)
-                if z < z_buffer[y, x]:
-                    z_buffer[y, x] = z
+            u, v = (bx * (cy - y) - (by - y) * cx) / area, (cx * (ay - y) - (cy - y) * ax) / area
+            low, high = _clip(0.0, width - 1.0, u, step_u, root_u)
+            low, high = _clip(low, high, v, step_v, root_v)
+            low, high = _clip(low, high, 1 - u - v, step_w, root_w)
+            if low > high + 2 * ON_EDGE_PX:
+                continue
+            near = wc + u * (wa - wc) + v * (wb - wc)
+            for x in range(int(np.ceil(low - ON_EDGE_PX)), int(np.floor(high + ON_EDGE_PX)) + 1):
+                here = np.float32(near + x * step_near)
+                if here > nearest[y, x]:
+                    nearest[y, x] = here
                     triangle[y, x] = f
-                    barycentric[y, x, 0] = u * wa * z
-                    barycentric[y, x, 1] = v * wb * z
-                    barycentric[y, x, 2] = w * wc * z
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _reciprocal(slope):
+    return 1.0 / slope if slope != 0.0 else 0.0
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _clip(low, high, value, slope, reciprocal):
+    """The part of low to high where value + slope x is not negative; empty where low > high."""
+    if slope > 0.0:
+        return max(low, -value * reciprocal), high
+    if slope < 0.0:
+        return low, min(high, -value * reciprocal)
+    return (low, high) if value >= 0.0 else (1.0, -1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _interpolate(pixels, inverse_depth, triangles, triangle, barycentric, nearest):
+    """Perspective-correct weights of each pixel's triangle; `nearest` becomes depth."""
+    for y in range(triangle.shape[0]):
+        for x in range(triangle.shape[1]):
+            f = triangle[y, x]
+            if f < 0:
+                nearest[y, x] = np.inf
+                continue
+            a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+            ax, ay, bx, by, cx, cy = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
+            area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+            u = max(((bx - x) * (cy - y) - (by - y) * (cx - x)) / area, 0.0)
+            v = max(((cx - x) * (ay - y) - (cy - y) * (ax - x)) / area, 0.0)
+            wu, wv, ww = u * inverse_depth[a], v * inverse_depth[b], max(1.0 - u - v, 0.0) * inverse_depth[c]
+            depth = 1.0 / (wu + wv + ww)
+            barycentric[y, x, 0], barycentric[y, x, 1], barycentric[y, x, 2] = wu * depth, wv * depth, ww * depth
+            nearest[y, x] = depth

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -35,6 +34,7 @@ from headcap.registration.correspondence import (
 from headcap.registration.flow import dense_flow
 from headcap.registration.graph import GraphSolver, Pose, build_graph, predict
 from headcap.registration.local_contrast import normalise
+from headcap.registration.motion import Motion
 from headcap.registration.photographs import Photograph
 from headcap.registration.photometric import Normal, PhotometricSettings, ViewComparison, inner
 from headcap.registration.reference import Reference
@@ -203,16 +203,6 @@ class SurfaceFlow:
         moved = [np.tensordot(weights, field, axes=1) for field in self._fields]
         self.offsets = [offset + move for offset, move in zip(self.offsets, moved, strict=True)]
         return total([shifted(part, move) for part, move in zip(parts, moved, strict=True)])
-
-
-class Motion(Protocol):
-    """Where a mesh goes within a frame."""
-
-    def offsets(self, delays_s: list[float]) -> list[NDArray[np.float64]]:
-        """Motion (n, 3) from the frame to each of the moments `delays_s` later."""
-
-    def fields(self, delay_s: float) -> NDArray[np.float64]:
-        """(k, n, 3) what one unit of each of its corrections moves at that moment."""
 
 
 Finish = Callable[[NDArray, Motion], NDArray]

@@ -118,9 +118,7 @@ def targets_normal(targets: VertexTargets, vertices: NDArray, robust_px: float) 
     residual = targets.pixels[used] - pixels
     squared = np.einsum("nk,nk->n", residual, residual)
     weight = targets.weight[used] / (1 + squared / robust_px**2) ** 2
-    full = np.einsum("nki,n,nkj->nij", jacobian, weight, jacobian)
-    blocks[used] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    right[used] = np.einsum("nki,n,nk->ni", jacobian, weight, residual)
+    _accumulate_targets(used, jacobian, residual, weight, blocks, right)
     return Normal(blocks, right, float(np.sqrt(np.median(squared))))
 
 
@@ -180,12 +178,7 @@ def pairs_normal(
 
 
 def _squarest_view(positions, normals, views, least_cosine) -> NDArray[np.int64]:
-    cosine = np.full((len(views), len(positions)), -1.0)
-    for c, view in enumerate(views):
-        towards = view.camera.centre - positions
-        cosine[c] = np.einsum("nk,nk->n", towards, normals) / np.linalg.norm(towards, axis=1)
-    best = cosine.argmax(0)
-    return np.where(cosine.max(0) > least_cosine, best, -1)
+    return _best_view(positions, normals, np.array([view.camera.centre for view in views]), least_cosine)
 
 
 def _inverse_render(view: ViewFlow, points: NDArray, offset: NDArray, triangles: NDArray):
@@ -193,24 +186,73 @@ def _inverse_render(view: ViewFlow, points: NDArray, offset: NDArray, triangles:
     window, raster = view.projection.window, view.projection.raster
     corner = (window.x0, window.y0)
     start, start_weights = _pick(raster, view.camera.project(points)[0] - corner, None)
-    moved = points + np.einsum("kc,kci->ki", start_weights, offset[triangles[np.maximum(start, 0)]])
+    moved = points.copy()
+    _carry(start, start_weights, triangles, offset, moved)
     pixels = view.camera.project(moved)[0] - corner
     back = 0.0 if view.flow is None else view.flow.inverse_at(pixels)
     return _pick(raster, pixels + back, view.trusted)
 
 
 def _pick(raster, pixels: NDArray, trusted: NDArray | None):
-    height, width = raster.triangle.shape
-    nearest = np.nan_to_num(np.rint(pixels), nan=-1).astype(int)
-    inside = (nearest >= 0).all(1) & (nearest[:, 0] < width) & (nearest[:, 1] < height)
-    x, y = np.where(inside[:, None], nearest, 0).T
-    triangle = np.where(inside, raster.triangle[y, x] if raster.triangle.size else -1, -1)
-    if trusted is not None and trusted.size:
-        triangle = np.where(trusted[y, x], triangle, -1)
-    weights = (
-        np.where((triangle >= 0)[:, None], raster.barycentric[y, x], 0.0) if raster.triangle.size else np.zeros((len(pixels), 3))
-    )
-    return triangle.astype(np.int64), weights.astype(float)
+    triangle, weights = np.full(len(pixels), -1, np.int64), np.zeros((len(pixels), 3))
+    _nearest_pixel(raster.triangle, raster.barycentric, raster.hit if trusted is None else trusted, pixels, triangle, weights)
+    return triangle, weights
+
+
+@njit(cache=True)
+def _nearest_pixel(raster_triangle, raster_barycentric, trusted, pixels, triangle, weights):
+    height, width = raster_triangle.shape
+    for i in range(len(pixels)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        if not (u >= -0.5 and v >= -0.5 and u < width - 0.5 and v < height - 0.5):
+            continue
+        x, y = int(np.rint(u)), int(np.rint(v))
+        if x < width and y < height and trusted[y, x] and raster_triangle[y, x] >= 0:
+            triangle[i] = raster_triangle[y, x]
+            for k in range(3):
+                weights[i, k] = raster_barycentric[y, x, k]
+
+
+@njit(cache=True)
+def _carry(triangle, weights, triangles, offset, points):
+    """Move points along with the triangles that they lie on."""
+    for i in range(len(points)):
+        if triangle[i] < 0:
+            continue
+        for k in range(3):
+            corner = triangles[triangle[i], k]
+            for axis in range(3):
+                points[i, axis] += weights[i, k] * offset[corner, axis]
+
+
+@njit(cache=True)
+def _best_view(positions, normals, centres, least_cosine):
+    best = np.full(len(positions), -1, np.int64)
+    for i in range(len(positions)):
+        highest = least_cosine
+        for c in range(len(centres)):
+            x, y, z = centres[c, 0] - positions[i, 0], centres[c, 1] - positions[i, 1], centres[c, 2] - positions[i, 2]
+            cosine = (x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]) / np.sqrt(x * x + y * y + z * z)
+            if cosine > highest:
+                highest, best[i] = cosine, c
+    return best
+
+
+@njit(cache=True)
+def _accumulate_targets(used, jacobian, residual, weight, blocks, right):
+    for i in range(len(used)):
+        v, w = used[i], weight[i]
+        for k in range(2):
+            x, y, z = jacobian[i, k, 0], jacobian[i, k, 1], jacobian[i, k, 2]
+            blocks[v, 0] += w * x * x
+            blocks[v, 1] += w * x * y
+            blocks[v, 2] += w * x * z
+            blocks[v, 3] += w * y * y
+            blocks[v, 4] += w * y * z
+            blocks[v, 5] += w * z * z
+            right[v, 0] += w * x * residual[i, k]
+            right[v, 1] += w * y * residual[i, k]
+            right[v, 2] += w * z * residual[i, k]
 
 
 @njit(cache=True, error_model="numpy")

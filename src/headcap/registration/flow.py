@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -86,20 +87,27 @@ def consistent(forward: Flow, backward: Flow, limit_px: float) -> NDArray[np.boo
 def sample(field: NDArray, pixels: NDArray) -> NDArray[np.float64]:
     """Values (n, k) or (n,) of a field (h, w, k) or (h, w) at pixels (n, 2), bilinear; NaN outside or at NaN pixels."""
     h, w = field.shape[:2]
-    with np.errstate(invalid="ignore"):
-        inside = (pixels >= 0).all(1) & (pixels[:, 0] <= w - 1) & (pixels[:, 1] <= h - 1)
-    safe = np.where(inside[:, None], pixels, 0.0)
-    left = np.minimum(safe.astype(int), (max(w - 2, 0), max(h - 2, 0)))
-    fx, fy = (safe - left).T
-    x, y = left.T
-    x1, y1 = np.minimum(x + 1, w - 1), np.minimum(y + 1, h - 1)
-    if field.ndim == 3:
-        fx, fy = fx[:, None], fy[:, None]
-    top = field[y, x] * (1 - fx) + field[y, x1] * fx
-    bottom = field[y1, x] * (1 - fx) + field[y1, x1] * fx
-    out = np.asarray(top * (1 - fy) + bottom * fy, np.float64)
-    out[~inside] = np.nan
-    return out
+    channels = np.ascontiguousarray(field).reshape(h, w, -1)
+    out = np.full((len(pixels), channels.shape[2]), np.nan)
+    if channels.size:
+        _bilinear(channels, np.ascontiguousarray(pixels, np.float64), out)
+    return out.reshape(len(pixels), *field.shape[2:])
+
+
+@njit(cache=True, error_model="numpy")
+def _bilinear(field, pixels, out):
+    h, w, channels = field.shape
+    for i in range(len(pixels)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        if not (u >= 0.0 and v >= 0.0 and u <= w - 1 and v <= h - 1):
+            continue
+        x, y = min(int(u), max(w - 2, 0)), min(int(v), max(h - 2, 0))
+        x1, y1 = min(x + 1, w - 1), min(y + 1, h - 1)
+        fx, fy = u - x, v - y
+        for k in range(channels):
+            top = field[y, x, k] * (1 - fx) + field[y, x1, k] * fx
+            bottom = field[y1, x, k] * (1 - fx) + field[y1, x1, k] * fx
+            out[i, k] = top * (1 - fy) + bottom * fy
 
 
 def _prepare(image: NDArray, settings: FlowSettings) -> NDArray[np.uint8]:

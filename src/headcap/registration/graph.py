@@ -84,10 +84,9 @@ class Graph:
 
     def deform(self, pose: Pose) -> NDArray[np.float64]:
         """Vertices (n, 3) moved by the nodes."""
-        centres = self.vertices[self.nodes]
-        local = self.vertices[:, None] - centres[self.influence]
-        moved = np.einsum("npij,npj->npi", pose.affine[self.influence], local) + (centres + pose.shift)[self.influence]
-        return np.einsum("np,npi->ni", self.weights, moved)
+        moved = np.zeros(self.vertices.shape)
+        _blend(self.vertices, self.vertices[self.nodes], self.influence, self.weights, pose.affine, pose.shift, moved)
+        return moved
 
 
 def build_graph(
@@ -312,6 +311,19 @@ def _assemble_rigidity(affine, weight, diagonal, matrix, right):
     rows = rows.reshape(k, 6, 12)
     matrix[diagonal] += np.einsum("n,nri,nrj->nij", weight, rows, rows)
     right -= np.einsum("n,nri,nr->ni", weight, rows, residual)
+
+
+@njit(cache=True)
+def _blend(vertices, centres, influence, weights, affine, shift, moved):
+    for v in range(len(vertices)):
+        for p in range(influence.shape[1]):
+            k, w = influence[v, p], weights[v, p]
+            if w == 0.0:
+                continue
+            x, y, z = vertices[v, 0] - centres[k, 0], vertices[v, 1] - centres[k, 1], vertices[v, 2] - centres[k, 2]
+            for i in range(3):
+                turned = affine[k, i, 0] * x + affine[k, i, 1] * y + affine[k, i, 2] * z
+                moved[v, i] += w * (turned + centres[k, i] + shift[k, i])
 
 
 @njit(cache=True, error_model="numpy")

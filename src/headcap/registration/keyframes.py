@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from headcap.meshes.normals import triangle_normals
 from headcap.reconstruction.points import PointCloud
+from headcap.registration.motion import Motion
 from headcap.registration.photographs import Photograph
 from headcap.registration.reference import Reference, away_from_edges, scaled_picture, shown_well
 from headcap.registration.render import Picture, project
@@ -29,7 +30,7 @@ class KeyframeSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     most: int = Field(8, ge=0, description="Most keyframes of a take; 0 keeps to the reference frame alone")
-    least_area_mm2: float = Field(15.0, gt=0, description="Newly seen lip that makes a keyframe, square millimetres")
+    least_area_mm2: float = Field(15.0, gt=0, description="Newly served lip that makes a keyframe, square millimetres")
     support_mm: float = Field(0.4, gt=0, description="A strip's cloud points lie this near to its triangles' planes, millimetres")
     reach_mm: float = Field(1.5, gt=0, description="And this near along them, millimetres")
 
@@ -54,10 +55,8 @@ def lip_triangles(template: Template) -> NDArray[np.bool_]:
     return np.any(masks, axis=0)[template.triangles].all(axis=1)
 
 
-def newly_seen(
-    reference: Reference, vertices: NDArray, cloud: PointCloud, settings: KeyframeSettings
-) -> tuple[NDArray[np.bool_], float]:
-    """Lip triangles (m,) that no picture serves yet, that touch served ones and lie on the cloud; also their area, mm^2.
+def newly_seen(reference: Reference, vertices: NDArray, cloud: PointCloud, settings: KeyframeSettings) -> NDArray[np.bool_]:
+    """Lip triangles (m,) that no picture serves yet, that touch served ones and lie on the cloud.
 
     `vertices` (n, 3) are the mesh at the cloud's moment.
     """
@@ -68,7 +67,36 @@ def newly_seen(
     strip = lip_triangles(reference.template) & ~served & known[triangles].any(axis=1)
     chosen = np.flatnonzero(strip)
     strip[chosen] = _supported(vertices, triangles[chosen], cloud, settings)
-    return strip, 0.5e6 * float(np.linalg.norm(triangle_normals(vertices, triangles[strip]), axis=1).sum())
+    return strip
+
+
+def area_mm2(vertices: NDArray, triangles: NDArray) -> float:
+    """Area of triangles (k, 3) of a mesh (n, 3) in metres, square millimetres."""
+    return 0.5e6 * float(np.linalg.norm(triangle_normals(vertices, triangles), axis=1).sum())
+
+
+def find_keyframe(
+    reference: Reference,
+    time_s: float,
+    vertices: NDArray,
+    motion: Motion,
+    photographs: list[Photograph],
+    cloud: PointCloud,
+    settings: KeyframeSettings,
+) -> Keyframe | None:
+    """A frame's full-size photographs as a keyframe, if they serve enough of the lips that nothing served before.
+
+    `vertices` (n, 3) are the mesh at the frame's moment, `motion` leads to each photograph's.
+    """
+    triangles = reference.template.triangles
+    strip = newly_seen(reference, vertices, cloud, settings)
+    if area_mm2(vertices, triangles[strip]) < settings.least_area_mm2:
+        return None
+    offsets = motion.offsets([photograph.delay_s for photograph in photographs])
+    keyframe = tie_keyframe(reference, time_s, vertices, offsets, photographs, strip)
+    # a strip that cameras see at a slant alone would take a keyframe's place and give nothing for it
+    served_mm2 = area_mm2(vertices, triangles[keyframe.serves.any(axis=0)])
+    return keyframe if served_mm2 >= settings.least_area_mm2 else None
 
 
 def tie_keyframe(

@@ -15,10 +15,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from headcap.cameras import Camera
 from headcap.reconstruction.points import PointCloud
-from headcap.registration.coarse import Motion
 from headcap.registration.correspondence import CorrespondenceSettings
 from headcap.registration.fine import FineTracker
 from headcap.registration.graph import edge_graph
+from headcap.registration.motion import Motion
 from headcap.registration.photographs import Photograph
 from headcap.registration.reference import Reference, part_of
 from headcap.registration.refine import RefineSettings
@@ -33,11 +33,16 @@ class LipTracker:
     ) -> None:
         template = reference.template
         chosen = near_lips(template.vertices, template.triangles, template.regions, 1e-3 * settings.reach_mm)
+        self._chosen = chosen
         part, self.vertices = part_of(reference, chosen)
         held = np.zeros(len(self.vertices), np.bool_)
         if len(self.vertices):
             held = at_rim(template.triangles, part.template.triangles, self.vertices, len(template.vertices))
         self.fine = FineTracker(part, settings.photometric, correspondence, refine, settings.steps, held=held)
+
+    def show(self, reference: Reference) -> None:
+        """Compare with another reference of the same template from now on."""
+        self.fine.reference = part_of(reference, self._chosen)[0]
 
     @property
     def cameras(self) -> tuple[Camera, ...]:

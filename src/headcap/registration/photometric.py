@@ -57,12 +57,22 @@ class Normal:
 
     def apply(self, vectors: NDArray) -> NDArray[np.float64]:
         """The block-diagonal matrix times vectors (n, 3)."""
-        xx, xy, xz, yy, yz, zz = self.blocks.T
-        x, y, z = vectors.T
-        return np.stack([xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z], axis=1)
+        image = np.zeros(self.right.shape)
+        add_blocks(self.blocks, np.ascontiguousarray(vectors, np.float64), image)
+        return image
 
     def __add__(self, other: Normal) -> Normal:
         return Normal(self.blocks + other.blocks, self.right + other.right, max(self.residual, other.residual))
+
+
+@njit(cache=True)
+def add_blocks(blocks, vectors, out):
+    """Add the symmetric blocks (n, 6) times vectors (n, 3) to `out` (n, 3)."""
+    for v in range(len(vectors)):
+        x, y, z = vectors[v, 0], vectors[v, 1], vectors[v, 2]
+        out[v, 0] += blocks[v, 0] * x + blocks[v, 1] * y + blocks[v, 2] * z
+        out[v, 1] += blocks[v, 1] * x + blocks[v, 3] * y + blocks[v, 4] * z
+        out[v, 2] += blocks[v, 2] * x + blocks[v, 4] * y + blocks[v, 5] * z
 
 
 class ViewComparison:

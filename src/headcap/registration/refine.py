@@ -9,14 +9,13 @@ bending (change of mean curvature), stretch, and the displacement itself.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import sparse
 
 from headcap.meshes.laplacian import Factor, bilaplacian, cotangent_laplacian, vertex_areas
 from headcap.registration.conjugate_gradient import conjugate_gradient
-from headcap.registration.photometric import Normal
+from headcap.registration.photometric import Normal, add_blocks
 
 
 class RefineSettings(BaseModel):
@@ -70,7 +69,7 @@ class Refiner:
         def apply(vectors: NDArray) -> NDArray:
             """Prior and data times vectors (n, 3)."""
             image = self.prior @ vectors
-            _add_blocks(normal.blocks, vectors, image)
+            add_blocks(normal.blocks, vectors, image)
             return image
 
         settings = self.settings
@@ -80,12 +79,3 @@ class Refiner:
         if not converged:
             self._factor = None
         return update
-
-
-@njit(cache=True)
-def _add_blocks(blocks, vectors, out):
-    for v in range(len(vectors)):
-        x, y, z = vectors[v, 0], vectors[v, 1], vectors[v, 2]
-        out[v, 0] += blocks[v, 0] * x + blocks[v, 1] * y + blocks[v, 2] * z
-        out[v, 1] += blocks[v, 1] * x + blocks[v, 3] * y + blocks[v, 4] * z
-        out[v, 2] += blocks[v, 2] * x + blocks[v, 4] * y + blocks[v, 5] * z

@@ -99,8 +99,8 @@ def shade(projection: Projection, triangles: NDArray, source: Source) -> tuple[N
         unserved = ~source.served
         lookups.append((source.texture, source.texture_known, source.texture_pixels, source.texture_triangles, unserved))
     for picture, clear, pixels, corners, serves in lookups:
-        if serves.any():
-            _look_up(raster.triangle, raster.barycentric, corners, pixels, picture, clear, serves, image, known)
+        box = _extent(projection, triangles, serves)
+        _look_up(raster.triangle, raster.barycentric, corners, pixels, picture, clear, serves, box, image, known)
     return image, known
 
 
@@ -114,8 +114,20 @@ def look_up(
     image, known = np.zeros(raster.triangle.shape, np.float32), np.zeros(raster.triangle.shape, np.bool_)
     triangle = np.where(wanted, raster.triangle, -1)
     everywhere, all_triangles = np.ones(picture.shape, np.bool_), np.ones(len(triangles), np.bool_)
-    _look_up(triangle, raster.barycentric, triangles, pixels, picture, everywhere, all_triangles, image, known)
+    box = np.array([0, 0, raster.triangle.shape[1], raster.triangle.shape[0]])
+    _look_up(triangle, raster.barycentric, triangles, pixels, picture, everywhere, all_triangles, box, image, known)
     return image, known
+
+
+def _extent(projection: Projection, triangles: NDArray, chosen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(4,) first column and row and those past the last that the chosen triangles can fill: a keyframe's are few."""
+    window = projection.window
+    bounds = _bounds(projection.pixels[triangles[chosen].ravel()])
+    low, high = np.array(bounds[:2]) - (window.x0, window.y0), np.array(bounds[2:]) - (window.x0, window.y0)
+    if not (low <= high).all():
+        return np.zeros(4, np.int64)
+    size = (window.width, window.height)
+    return np.concatenate([np.clip(np.floor(low), 0, size), np.clip(np.ceil(high) + 1, 0, size)]).astype(np.int64)
 
 
 def visible_share(raster: Raster, pixels: NDArray, triangles: NDArray) -> NDArray[np.float64]:
@@ -123,30 +135,63 @@ def visible_share(raster: Raster, pixels: NDArray, triangles: NDArray) -> NDArra
 
     `pixels` (n, 2) are the projected vertices. Unlike a depth test this tells lips from the mouth right behind them.
     """
-    hits = raster.triangle[raster.hit]
-    count = np.bincount(hits, minlength=len(triangles))
-    corners = pixels[triangles]
-    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    # image y points down: outward faces have negative area
-    area = np.nan_to_num(-0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
-    return np.where(area > 0.5, np.minimum(count / np.maximum(area, 0.5), 1.0), 0.0)
+    return _visible_share(raster.triangle, np.ascontiguousarray(pixels, np.float64), triangles)
 
 
 def visible_vertices(projection: Projection, triangles: NDArray, n_vertices: int) -> NDArray[np.bool_]:
     """(n,) true where most triangles at a vertex are seen."""
     local = projection.pixels - (projection.window.x0, projection.window.y0)
     seen = visible_share(projection.raster, local, triangles) > 0.5
-    count = np.bincount(triangles.ravel(), minlength=n_vertices)
-    return np.bincount(triangles.ravel(), np.repeat(seen, 3), n_vertices) > 0.6 * np.maximum(count, 1)
+    return _mostly(seen, triangles, n_vertices)
+
+
+@njit(cache=True)
+def _visible_share(triangle, pixels, triangles):
+    share = np.zeros(len(triangles))
+    for y in range(triangle.shape[0]):
+        for x in range(triangle.shape[1]):
+            if triangle[y, x] >= 0:
+                share[triangle[y, x]] += 1.0
+    for f in range(len(triangles)):
+        if share[f] == 0.0:
+            continue
+        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+        ux, uy = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
+        vx, vy = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
+        # image y points down: outward faces have negative area
+        area = -0.5 * (ux * vy - uy * vx)
+        share[f] = min(share[f] / area, 1.0) if area > 0.5 else 0.0
+    return share
+
+
+@njit(cache=True)
+def _mostly(chosen, triangles, n_vertices):
+    """(n,) vertices more than 60 % of whose triangles are chosen."""
+    every, some = np.zeros(n_vertices, np.int64), np.zeros(n_vertices, np.int64)
+    for f in range(len(triangles)):
+        for k in range(3):
+            every[triangles[f, k]] += 1
+            some[triangles[f, k]] += chosen[f]
+    return some > 0.6 * np.maximum(every, 1)
 
 
 def _window(pixels: NDArray, camera: Camera, margin_px: int) -> Window:
-    finite = pixels[np.isfinite(pixels).all(1)]
-    if len(finite) == 0:
+    x0, y0, x1, y1 = _bounds(pixels)
+    if not x0 <= x1:
         return Window(0, 0, 0, 0)
-    low = np.clip(np.floor(finite.min(0)) - margin_px, 0, camera.size).astype(int)
-    high = np.clip(np.ceil(finite.max(0)) + margin_px + 1, low, camera.size).astype(int)
+    low = np.clip(np.floor([x0, y0]) - margin_px, 0, camera.size).astype(int)
+    high = np.clip(np.ceil([x1, y1]) + margin_px + 1, low, camera.size).astype(int)
     return Window(int(low[0]), int(low[1]), int(high[0] - low[0]), int(high[1] - low[1]))
+
+
+@njit(cache=True)
+def _bounds(pixels):
+    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
+    for i in range(len(pixels)):
+        u, v = pixels[i, 0], pixels[i, 1]
+        if np.isfinite(u) and np.isfinite(v):
+            x0, y0, x1, y1 = min(x0, u), min(y0, v), max(x1, u), max(y1, v)
+    return x0, y0, x1, y1
 
 
 @njit(cache=True, inline="always")
@@ -157,11 +202,10 @@ def _cubic(t):
 
 
 @njit(cache=True, error_model="numpy", fastmath=True)
-def _look_up(triangle, barycentric, corners, pixels, picture, clear, serves, image, known):
-    height, width = triangle.shape
+def _look_up(triangle, barycentric, corners, pixels, picture, clear, serves, box, image, known):
     rows, columns = picture.shape
-    for y in range(height):
-        for x in range(width):
+    for y in range(box[1], box[3]):
+        for x in range(box[0], box[2]):
             f = triangle[y, x]
             if f < 0 or not serves[f]:
                 continue

@@ -8,6 +8,7 @@ every vertex's own position left free.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from headcap.registration.photometric import Normal
@@ -31,10 +32,7 @@ def fit_motion(parts: list[Normal], fields: list[NDArray]) -> NDArray[np.float64
     count = len(fields[0])
     own, gain, right = np.zeros((count, count)), np.zeros((count, *total.right.shape)), np.zeros(count)
     for part, field in zip(parts, fields, strict=True):
-        images = np.stack([part.apply(single) for single in field])
-        own += np.einsum("kni,lni->kl", images, field)
-        gain += images
-        right += np.einsum("kni,ni->k", field, part.right)
+        _gather(part.blocks, part.right, np.ascontiguousarray(field), own, gain, right)
     solved = np.einsum("nij,knj->kni", inverse, gain)
     matrix = own - np.einsum("kni,lni->kl", solved, gain) + np.diag(SHRINKAGE * np.diag(own) + 1e-30)
     return np.linalg.solve(matrix, right - np.einsum("kni,ni->k", solved, total.right))
@@ -43,6 +41,27 @@ def fit_motion(parts: list[Normal], fields: list[NDArray]) -> NDArray[np.float64
 def shifted(part: Normal, motion: NDArray) -> Normal:
     """A view's normal equations after the mesh at its moment moved by (n, 3), to first order."""
     return Normal(part.blocks, part.right - part.apply(motion), part.residual)
+
+
+@njit(cache=True)
+def _gather(blocks, vertex_right, field, own, gain, right):
+    """Add one view's share: its matrix between fields (k, k), its images of the fields (k, n, 3), its right-hand side (k,)."""
+    image = np.zeros((len(field), 3))
+    for v in range(len(blocks)):
+        xx, xy, xz, yy, yz, zz = blocks[v]
+        if xx + yy + zz == 0.0:
+            continue
+        for k in range(len(field)):
+            x, y, z = field[k, v]
+            image[k, 0], image[k, 1], image[k, 2] = xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+            for i in range(3):
+                gain[k, v, i] += image[k, i]
+                right[k] += field[k, v, i] * vertex_right[v, i]
+            for j in range(k + 1):
+                own[k, j] += image[k, 0] * field[j, v, 0] + image[k, 1] * field[j, v, 1] + image[k, 2] * field[j, v, 2]
+    for k in range(len(field)):
+        for j in range(k):
+            own[j, k] = own[k, j]
 
 
 def _inverse_blocks(blocks: NDArray) -> NDArray:

@@ -22,9 +22,10 @@ from headcap.errors import InputError
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.anchors import MARGIN, Anchors
 from headcap.registration.coarse import CoarseState, CoarseTracker, Finish, lip_vertices
-from headcap.registration.fine import FineTracker, Trajectory
-from headcap.registration.keyframes import Keyframe, newly_seen, tie_keyframe, with_keyframe
+from headcap.registration.fine import FineTracker
+from headcap.registration.keyframes import Keyframe, find_keyframe, with_keyframe
 from headcap.registration.lips import LipTracker
+from headcap.registration.motion import Trajectory
 from headcap.registration.photographs import FrameSource, Photograph, resize, take_photographs
 from headcap.registration.reference import Reference, build_reference, scaled_reference
 from headcap.registration.template import Template
@@ -94,7 +95,9 @@ class _CoarsePass:
         reference = scaled_reference(self.full, settings.coarse_width_px)
         self.tracker = CoarseTracker(reference, settings)
         self.lips = self._lip_tracker()
-        self.polisher = FineTracker(reference, settings.coarse_photometric, settings.correspondence, settings.refine, 1)
+        priors = settings.correspondence, settings.refine
+        self.polisher = FineTracker(reference, settings.coarse_photometric, *priors, 1)
+        self.sharpener = FineTracker(self.full, settings.photometric, *priors, settings.fine_refinements)
         self.keyframes: list[Keyframe] = []
 
     def run(self) -> Anchors:
@@ -148,24 +151,22 @@ class _CoarsePass:
         return positions
 
     def _grow(self, time_s: float, positions: NDArray, motion: Trajectory, seen: _Seen) -> None:
-        settings, cloud = self.settings, seen.cloud
-        if newly_seen(self.full, positions, cloud, settings.keyframes)[1] < settings.keyframes.least_area_mm2:
+        photographs, cloud, settings = seen.photographs, seen.cloud, self.settings.keyframes
+        if find_keyframe(self.full, time_s, positions, motion, photographs, cloud, settings) is None:
             return
-        tracker = FineTracker(
-            self.full, settings.photometric, settings.correspondence, settings.refine, settings.fine_refinements
-        )
-        sharp = tracker.refine(positions, motion, seen.photographs, cloud)[0]
-        strip, area_mm2 = newly_seen(self.full, sharp, cloud, settings.keyframes)
-        if area_mm2 >= settings.keyframes.least_area_mm2:
-            offsets = motion.offsets([photograph.delay_s for photograph in seen.photographs])
-            self._add(tie_keyframe(self.full, time_s, sharp, offsets, seen.photographs, strip), seen.photographs)
+        sharp = self.sharpener.refine(positions, motion, photographs, cloud)[0]
+        keyframe = find_keyframe(self.full, time_s, sharp, motion, photographs, cloud, settings)
+        if keyframe is not None:
+            self._add(keyframe, photographs)
 
     def _add(self, keyframe: Keyframe, photographs: list[Photograph]) -> None:
         self.keyframes.append(keyframe)
         self.full = with_keyframe(self.full, keyframe, photographs)
         reference = with_keyframe(self.tracker.reference, keyframe, photographs)
         self.tracker.reference = self.polisher.reference = reference
-        self.lips = self._lip_tracker()
+        self.sharpener.reference = self.full
+        if self.lips is not None:
+            self.lips.show(scaled_reference(self.full, self.settings.fine_width_px))
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,23 @@
 """What the reference frame hides is served by the first later frame that shows it, once, and rendered from there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from headcap.cameras import Camera, Rig
 from headcap.reconstruction.points import PointCloud
 from headcap.registration.anchors import Anchors
-from headcap.registration.keyframes import Keyframe, KeyframeSettings, newly_seen, tie_keyframe, with_keyframe
+from headcap.registration.keyframes import (
+    Keyframe,
+    KeyframeSettings,
+    area_mm2,
+    find_keyframe,
+    newly_seen,
+    tie_keyframe,
+    with_keyframe,
+)
+from headcap.registration.motion import Trajectory
 from headcap.registration.photographs import Photograph
 from headcap.registration.reference import Reference, build_reference, scaled_reference
 from headcap.registration.render import project, shade
@@ -54,20 +65,32 @@ def _cloud(offset_m: float) -> PointCloud:
 def test_only_confirmed_strips_next_to_known_skin_are_new(hidden):
     reference, strip = hidden
     vertices = reference.template.vertices
-    new, area_mm2 = newly_seen(reference, vertices, _cloud(0.0), SETTINGS)
+    new = newly_seen(reference, vertices, _cloud(0.0), SETTINGS)
     assert new.any()
     assert not (new & ~strip).any()
     # rows are 3 mm apart and the strip is four rows high: only its first and last row touch what is known
     assert new.sum() == strip.sum() // 2
-    corners = vertices[reference.template.triangles[new]]
-    assert np.isclose(area_mm2, 5e5 * np.linalg.norm(np.cross(*(corners[:, k] - corners[:, 0] for k in (1, 2))), axis=1).sum())
-    assert not newly_seen(reference, vertices, _cloud(0.002), SETTINGS)[0].any()
+    # a sheet of 60 mm in 20 x 20 squares, two triangles each
+    assert np.isclose(area_mm2(vertices, reference.template.triangles[new]), new.sum() * 0.5 * 3.0**2)
+    assert not newly_seen(reference, vertices, _cloud(0.002), SETTINGS).any()
+
+
+@pytest.mark.parametrize(("tilt_deg", "found"), [(0.0, True), (85.0, False)])
+def test_a_strip_that_cameras_hardly_see_is_no_keyframe(hidden, tilt_deg, found):
+    reference, _ = hidden
+    angle = np.radians(tilt_deg)
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    cloud = replace(_cloud(0.0), positions=_cloud(0.0).positions @ turn.T, normals=_cloud(0.0).normals @ turn.T)
+    vertices, motion = reference.template.vertices @ turn.T, Trajectory(np.zeros(1), reference.template.vertices[None], 0)
+    assert area_mm2(vertices, reference.template.triangles[newly_seen(reference, vertices, cloud, SETTINGS)]) > 100
+    keyframe = find_keyframe(reference, 0.5, vertices, motion, [Photograph(0, _pattern(0.0), 0.0)], cloud, SETTINGS)
+    assert (keyframe is not None) == found
 
 
 def test_a_keyframe_serves_the_strip_and_nothing_twice(hidden):
     reference, _ = hidden
     camera, vertices, triangles = reference.cameras[0], reference.template.vertices, reference.template.triangles
-    new = newly_seen(reference, vertices, _cloud(0.0), SETTINGS)[0]
+    new = newly_seen(reference, vertices, _cloud(0.0), SETTINGS)
     moved = np.tile([0.0015, 0.0, 0.0], (len(vertices), 1))  # two pixels: the photograph was taken while the sheet moved on
     photograph = Photograph(0, _pattern(2.0), 0.004)
     keyframe = tie_keyframe(reference, 0.5, vertices, [moved], [photograph], new)
@@ -79,7 +102,7 @@ def test_a_keyframe_serves_the_strip_and_nothing_twice(hidden):
     assert np.array_equal((serves & inner), (new & inner))
     assert not (reference.sources[0].served & keyframe.serves[0]).any()
     assert np.array_equal(grown.sources[0].served, reference.sources[0].served | serves)
-    assert not (newly_seen(grown, vertices, _cloud(0.0), SETTINGS)[0] & serves).any()
+    assert not (newly_seen(grown, vertices, _cloud(0.0), SETTINGS) & serves).any()
     projection = project(camera, vertices, triangles)
     image, known = shade(projection, triangles, grown.sources[0])
     own = np.isin(projection.raster.triangle, np.flatnonzero(serves)) & known
@@ -91,7 +114,7 @@ def test_a_keyframe_serves_the_strip_and_nothing_twice(hidden):
 
 def test_keyframes_follow_the_references_scale(hidden):
     reference, _ = hidden
-    new = newly_seen(reference, reference.template.vertices, _cloud(0.0), SETTINGS)[0]
+    new = newly_seen(reference, reference.template.vertices, _cloud(0.0), SETTINGS)
     photograph = Photograph(0, _pattern(0.0), 0.0)
     still = [np.zeros_like(reference.template.vertices)]
     keyframe = tie_keyframe(reference, 0.5, reference.template.vertices, still, [photograph], new)
