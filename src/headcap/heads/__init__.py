@@ -1,5 +1,8 @@
-"""The head model: identity, expression, pose, skinning; loaders; the procedural base head."""
+"""The head model: identity, expression, pose, skinning; its sources FLAME, ICT-FaceKit and the procedural base head."""
 
+from headcap.heads.generic import procedural_model
+from headcap.heads.model import HeadCoefficients, HeadModel, RestOffset
 from headcap.heads.procedural import base_head
+from headcap.heads.skinning import JOINTS
 
-__all__ = ["base_head"]
+__all__ = ["JOINTS", "HeadCoefficients", "HeadModel", "RestOffset", "base_head", "procedural_model"]
