@@ -8,7 +8,7 @@ from headcap.meshes.topology import boundary_mask, grow, vertex_adjacency
 
 FRONT_AZIMUTH_DEG = 75.0
 """How far around the neck, from straight ahead, its front reaches."""
-LARYNX_HALF_WIDTH_M, LARYNX_UP_M, LARYNX_DOWN_M = 0.036, 0.030, 0.042
+LARYNX_HALF_WIDTH_M, LARYNX_UP_M, LARYNX_DOWN_M = 0.036, 0.038, 0.042
 """L about the prominence: the bump's half width or height (about 20 mm) and the way it slides (a swallow lifts it by 20 to 25 mm
 at most until it meets the jaw's underside; it sinks by half that), with a margin in which the offset fades."""
 

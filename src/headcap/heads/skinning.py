@@ -79,14 +79,14 @@ def skin(rest: NDArray, bones: NDArray, weights: NDArray, out: NDArray) -> NDArr
 
     `out` may be `rest` itself.
     """
-    _skin(rest, np.ascontiguousarray(bones, rest.dtype), np.ascontiguousarray(weights, rest.dtype), out)
+    _skin(rest, np.array(bones, rest.dtype), np.ascontiguousarray(weights, rest.dtype), out)
     return out
 
 
 def unskin(posed: NDArray, bones: NDArray, weights: NDArray) -> NDArray:
     """The inverse of `skin`: vertices (f, n, 3) that these bones take to `posed` (f, n, 3)."""
     out = np.empty_like(posed)
-    _unskin(posed, np.ascontiguousarray(bones, posed.dtype), np.ascontiguousarray(weights, posed.dtype), out)
+    _unskin(posed, np.array(bones, posed.dtype), np.ascontiguousarray(weights, posed.dtype), out)
     return out
 
 
