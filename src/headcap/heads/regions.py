@@ -8,7 +8,9 @@ from headcap.meshes.topology import boundary_mask, grow, vertex_adjacency
 
 FRONT_AZIMUTH_DEG = 75.0
 """How far around the neck, from straight ahead, its front reaches."""
-LARYNX_HALF_WIDTH_M, LARYNX_UP_M, LARYNX_DOWN_M = 0.036, 0.038, 0.042
+FRONT_DOWN_M = 0.080
+"""How far below the prominence the front of the neck goes: to the collar bones, where a model has a chest."""
+LARYNX_HALF_WIDTH_M, LARYNX_UP_M, LARYNX_DOWN_M = 0.036, 0.038, 0.048
 """L about the prominence: the bump's half width or height (about 20 mm) and the way it slides (a swallow lifts it by 20 to 25 mm
 at most until it meets the jaw's underside; it sinks by half that), with a margin in which the offset fades."""
 
@@ -25,11 +27,13 @@ def with_neck_regions(
     n = len(vertices)
     azimuth = np.degrees(np.arctan2(np.abs(vertices[:, 0]), vertices[:, 2] - neck_joint[2]))
     front = regions["neck"] & (azimuth < FRONT_AZIMUTH_DEG)
+    throat = throat_direction(vertices, front, larynx)
+    along = (vertices - larynx) @ throat
+    front &= along > -FRONT_DOWN_M
     adjacency = vertex_adjacency(triangles, n)
     # two rings stay between L and the border of the patch, so that the border never moves
     inner = front & ~grow(~front | boundary_mask(triangles, n), adjacency, 2)
-    throat = throat_direction(vertices, front, larynx)
-    across, along = vertices[:, 0] - larynx[0], (vertices - larynx) @ throat
+    across = vertices[:, 0] - larynx[0]
     half = np.where(along > 0, LARYNX_UP_M, LARYNX_DOWN_M)
     inside = inner & ((across / LARYNX_HALF_WIDTH_M) ** 4 + (along / half) ** 4 < 1.0)
     if inside.sum() < 50:
