@@ -38,6 +38,7 @@ def test_the_package_keeps_its_floors(copied: Path) -> None:
     [
         ("geometry/transforms.py", "import headcap.registration.template"),
         ("evaluation/metrics.py", "import headcap.synthetic.settings"),
+        ("heads/model.py", "import headcap.neck.larynx"),
         ("recordings/probe.py", "import snakemake"),
     ],
 )

@@ -135,6 +135,10 @@ class HeadModel:
             or not (0 <= self.triangles.min() <= self.triangles.max() < n)
         ):
             raise _refused(self.name, f"triangles are {self.triangles.shape}", f"(m, 3) indices below {n}")
+        for name in _NUMBERS:
+            if (array := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _read_only(array))
+        object.__setattr__(self, "regions", {name: _read_only(mask) for name, mask in self.regions.items()})
         wrong = [name for name, mask in self.regions.items() if mask.shape != (n,)]
         if wrong:
             raise _refused(self.name, f"regions {', '.join(wrong)} have another length", f"masks of {n} vertices")
@@ -281,8 +285,9 @@ class HeadModel:
                 expected="texture coordinates to register a scan with",
                 remedy="Load it together with the file of its texture coordinates.",
             )
-        positions = self.vertices.astype(np.float64)
-        return Template(positions, self.triangles, self.uv, self.uv_triangles, dict(self.regions), dict(self.landmarks))
+        regions = {name: mask.copy() for name, mask in self.regions.items()}
+        arrays = (self.vertices.astype(np.float64), self.triangles.copy(), self.uv.copy(), self.uv_triangles.copy())
+        return Template(*arrays, regions, dict(self.landmarks))
 
     # -- files ----------------------------------------------------------------------------------------------------------------
 
@@ -403,6 +408,13 @@ def _flattened(given: HeadCoefficients, batch: tuple[int, ...]) -> HeadCoefficie
 
 def _flat_offset(offset: RestOffset | None, batch: tuple[int, ...]) -> RestOffset | None:
     return offset and RestOffset(offset.vertices, _flat(offset.values, batch, 2))
+
+
+def _read_only(array: NDArray) -> NDArray:
+    """A view that cannot be written through: models share arrays."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _digest(arrays) -> str:

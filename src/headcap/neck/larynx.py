@@ -65,6 +65,10 @@ class LarynxMap:
                 expected="a unit direction and finite weights",
                 remedy="Normalise t_s and leave frames out that are not numbers.",
             )
+        for name in _ARRAYS:
+            view = getattr(self, name).view()
+            view.flags.writeable = False  # what is kept of W for speed must stay true
+            object.__setattr__(self, name, view)
 
     def with_weights(self, weights_m: NDArray, direction: NDArray | None = None) -> LarynxMap:
         """The map with another W (rows, columns) and t_s, as an update of training gives them (eq. 14, 19); t_s is normalised."""

@@ -190,6 +190,15 @@ def test_a_file_brings_the_model_back(model, some, tmp_path):
         HeadModel.load(tmp_path / "other.npz")
 
 
+def test_nothing_can_be_written_into_a_model(model):
+    for array in (model.vertices, model.expression_basis, model.triangles, model.regions["face"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        model.name = "other"
+    model.template().vertices[0] = 0.0
+
+
 def test_what_does_not_fit_is_refused(model):
     with pytest.raises(InputError, match=r"skinning_weights is \(12813, 2\)"):
         dataclasses.replace(model, skinning_weights=model.skinning_weights[:, :2])
