@@ -1,4 +1,4 @@
-"""A map made from a resting throat alone predicts where a rigid body that slides beneath the skin lifts it (paper, section 3.1)."""
+"""A map made from a resting throat alone predicts where a body that slides beneath the skin lifts it (paper, section 3.1)."""
 
 import numpy as np
 import pytest

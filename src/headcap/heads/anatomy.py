@@ -119,7 +119,8 @@ def _carried(vertices: NDArray, head_from_base, anchors: dict[str, int]) -> dict
 def _larynx(vertices: NDArray, neck: NDArray, chin: NDArray, below_m: float) -> int:
     """The foremost vertex of the neck's midline at the larynx's usual height."""
     place = vertices - [0.0, chin[1] - below_m, 0.0]
-    candidates = np.flatnonzero(neck & (np.abs(place[:, 0]) < 0.01) & (vertices[:, 2] > np.median(vertices[neck, 2])))
+    middle = vertices[neck, 2].mean() if neck.any() else np.inf
+    candidates = np.flatnonzero(neck & (np.abs(place[:, 0]) < 0.01) & (vertices[:, 2] > middle))
     if len(candidates) == 0:
         raise InputError(
             "the head has no skin on the front of its neck", expected="a head with its neck", remedy="Use a model with a neck."

@@ -39,14 +39,14 @@ class _Chumpy(_Record):
     """A chumpy node: `Ch` holds its array in x; `Select` picks `idxs` of another node."""
 
     def array(self) -> NDArray:
-        """Its value, as far as it can be had without chumpy."""
+        """Its value; None where it is an expression that only chumpy could work out."""
         state = self.state if isinstance(self.state, dict) else {}
         if "x" in state:
             return _array(state["x"])
         if "a" in state and "idxs" in state:
             picked = _array(state["a"]).ravel()[_array(state["idxs"]).astype(np.int64)]
             return picked.reshape(state["preferred_shape"]) if "preferred_shape" in state else picked
-        raise _Refused("a chumpy expression that is no plain array")
+        return np.array(None)
 
 
 class _Sparse(_Record):
@@ -119,7 +119,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def load_pickled_arrays(path: Path | str) -> dict[str, NDArray]:
-    """The numeric arrays of a pickled dictionary, by key; text and empty entries are left out.
+    """The numeric arrays of a pickled dictionary, by key; text, notes and whatever else is no number are left out.
 
     Only numpy arrays, scipy matrices and chumpy records are built. Raises `InputError` where the file asks for anything else, is
     cut short, or holds no dictionary.
@@ -130,7 +130,8 @@ def load_pickled_arrays(path: Path | str) -> dict[str, NDArray]:
             content = _Unpickler(handle, encoding="latin1").load()
         if not isinstance(content, dict):
             raise _Refused(f"a {type(content).__name__} where a dictionary should be")
-        return {str(key): _array(value) for key, value in content.items() if not _is_note(value)}
+        arrays = {str(key): _array(value) for key, value in content.items()}
+        return {key: array for key, array in arrays.items() if array.dtype.kind in "biuf"}
     except _Refused as error:
         raise InputError(
             f"{path.name} asks for {error}, which no model file needs; nothing of it was run",
@@ -145,14 +146,5 @@ def load_pickled_arrays(path: Path | str) -> dict[str, NDArray]:
         ) from error
 
 
-def _is_note(value: Any) -> bool:
-    return value is None or isinstance(value, str | bytes)
-
-
 def _array(value: Any) -> NDArray:
-    if isinstance(value, _Chumpy | _Sparse):
-        return value.array()
-    array = np.asarray(value)
-    if array.dtype.kind not in "biuf":
-        raise _Refused(f"an array of {array.dtype}")
-    return array
+    return value.array() if isinstance(value, _Chumpy | _Sparse) else np.asarray(value)

@@ -165,7 +165,7 @@ def test_files_that_are_no_model_are_refused(tmp_path, flame_pickle, flame_array
     with pytest.raises(InputError, match="dictionary"):
         load_flame(tmp_path / "list.pkl")
     (tmp_path / "objects.pkl").write_bytes(pickle.dumps({"v_template": np.array([{}], object)}, protocol=2))
-    with pytest.raises(InputError, match="an array of object"):
+    with pytest.raises(InputError, match=r"objects\.pkl lacks v_template"):
         load_flame(tmp_path / "objects.pkl")
     np.savez(tmp_path / "few.npz", v_template=np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"few\.npz lacks f, shapedirs"):
