@@ -1,8 +1,8 @@
 """The larynx of the neck paper, section 3.1: a weight map that slides in the flat layout of the throat (eq. 1, 2).
 
 T = T_0 + W(tau) alpha t_s. W is an image over the chart in metres of offset; sliding by tau moves its content up the throat:
-the value at a vertex with chart position (u, v) is W(u, v - tau). tau is in metres here and grows upwards (the paper counts
-pixels downwards); alpha is free of units, 1 at rest.
+the value at a vertex with chart position (u, v) is W(u, v - tau), for a larynx does not slide sideways. tau is in metres here and
+grows upwards (the paper counts pixels downwards); alpha is free of units, 1 at rest.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class LarynxSettings(BaseModel):
 
     pitch_mm: float = Field(1.0, gt=0.1, le=4.0, description="Size of the weight map's pixels, on the skin")
     fade_mm: float = Field(6.0, gt=0.0, le=20.0, description="Width of the band inside the larynx region's border where it fades")
-    margin_mm: float = Field(4.0, ge=0.0, description="Zero pixels around the chart")
+    margin_mm: float = Field(4.0, ge=0.0, description="Pixels of the map beyond the larynx region")
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,13 +210,14 @@ def larynx_map(model: HeadModel, chart: NeckChart, direction: NDArray, settings:
             remedy="Build the chart from this model.",
         )
     pitch, margin = 1e-3 * settings.pitch_mm, 1e-3 * settings.margin_mm
-    low, high = chart.uv_m.min(axis=0) - margin, chart.uv_m.max(axis=0) + margin
+    places = chart.uv_m[inside]
+    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
     columns, rows = np.ceil((high - low) / pitch).astype(int) + 1
     direction = np.asarray(direction, np.float64)
     length = np.linalg.norm(direction)
     return LarynxMap(
         vertices=chart.vertices[inside],
-        uv_m=chart.uv_m[inside],
+        uv_m=places,
         window=_window(chart, inside, model.regions["larynx_boundary"][chart.vertices], 1e-3 * settings.fade_mm),
         weights_m=np.zeros((rows, columns)),
         origin_m=low,
