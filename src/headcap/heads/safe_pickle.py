@@ -1,12 +1,13 @@
-"""Reading model pickles of others without running them: a whitelist of what may be built, everything else is refused.
+"""Reading model pickles of others without running them: a whitelist of what may be named, everything else is refused.
 
-FLAME's files are Python 2 pickles of numpy arrays, scipy matrices and chumpy objects. Chumpy is not needed: its objects are read
-as inert records and their arrays taken out.
+FLAME's files are Python 2 pickles of numpy arrays, scipy matrices and chumpy objects. None of these libraries unpickles anything
+here: what they would build is read as inert records, and plain numbers are taken out of those.
 """
 
 from __future__ import annotations
 
 import pickle
+import re
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,55 @@ class _Record:
 
     def __setstate__(self, state: Any) -> None:
         self.state = state
+
+
+class _Type(_Record):
+    """A numpy dtype."""
+
+    def numeric(self) -> np.dtype | None:
+        """The dtype, None where it is not of plain numbers."""
+        code = self.args[0] if self.args else None
+        order = self.state[1] if isinstance(self.state, tuple) and len(self.state) > 1 else "|"
+        if not isinstance(code, str) or not re.fullmatch(r"[biuf]\d{1,2}", code) or order not in ("<", ">", "=", "|"):
+            return None
+        return np.dtype(order + code)
+
+
+class _Array(_Record):
+    """A numpy array; its state is (version, shape, type, whether columns come first, content)."""
+
+    def array(self) -> NDArray:
+        """Its value; None where it does not hold plain numbers."""
+        if not isinstance(self.state, tuple) or len(self.state) < 4:
+            return np.array(None)
+        shape, kind, fortran, content = self.state[-4:]
+        dtype = kind.numeric() if isinstance(kind, _Type) else None
+        if dtype is None or not isinstance(content, str | bytes | bytearray):
+            return np.array(None)
+        raw = content.encode("latin1") if isinstance(content, str) else bytes(content)
+        # a copy: what bytes hold cannot be written
+        return np.frombuffer(raw, dtype).reshape(shape, order="F" if fortran else "C").copy()
+
+
+def _new_array(*_: Any) -> _Array:
+    """`numpy.core.multiarray._reconstruct`: the content comes as state."""
+    return _Array()
+
+
+def _scalar(kind: Any, content: Any = b"") -> _Array:
+    """`numpy.core.multiarray.scalar`."""
+    return _filled((), kind, False, content)
+
+
+def _from_buffer(content: Any, kind: Any, shape: Any, order: Any) -> _Array:
+    """`numpy.core.numeric._frombuffer`, of pickle's fifth protocol."""
+    return _filled(shape, kind, order == "F", content)
+
+
+def _filled(*state: Any) -> _Array:
+    array = _Array()
+    array.__setstate__(state)
+    return array
 
 
 class _Chumpy(_Record):
@@ -83,12 +133,17 @@ def _latin1(text: str, encoding: str) -> bytes:
     return text.encode("latin1")
 
 
-_MULTIARRAY = {"_reconstruct": np._core.multiarray._reconstruct, "scalar": np._core.multiarray.scalar}
-_NUMERIC = {"_frombuffer": np._core.numeric._frombuffer}
-_PLAIN = {"object": object, "set": set, "frozenset": frozenset}
+def _no_bytes() -> bytes:
+    """`bytes()`, which is how old protocols write empty ones."""
+    return b""
+
+
+_MULTIARRAY = {"_reconstruct": _new_array, "scalar": _scalar}
+_NUMERIC = {"_frombuffer": _from_buffer}
+_PLAIN = {"object": object, "set": set, "frozenset": frozenset, "bytes": _no_bytes}
 """Chumpy's nodes keep sets of their own."""
 _ALLOWED: dict[str, dict[str, Any]] = {
-    "numpy": {"ndarray": np.ndarray, "dtype": np.dtype},
+    "numpy": {"ndarray": _Array, "dtype": _Type},
     "numpy.core.multiarray": _MULTIARRAY,
     "numpy._core.multiarray": _MULTIARRAY,
     "numpy.core.numeric": _NUMERIC,
@@ -121,8 +176,8 @@ class _Unpickler(pickle.Unpickler):
 def load_pickled_arrays(path: Path | str) -> dict[str, NDArray]:
     """The numeric arrays of a pickled dictionary, by key; text, notes and whatever else is no number are left out.
 
-    Only numpy arrays, scipy matrices and chumpy records are built. Raises `InputError` where the file asks for anything else, is
-    cut short, or holds no dictionary.
+    Only numpy arrays, scipy matrices and chumpy nodes are understood, and none is built by its library. Raises `InputError`
+    where the file asks for anything else, is cut short, or holds no dictionary.
     """
     path = Path(path)
     try:
@@ -138,7 +193,7 @@ def load_pickled_arrays(path: Path | str) -> dict[str, NDArray]:
             expected="numpy arrays, scipy matrices and chumpy arrays",
             remedy="Do not use this file; download the model again from its authors' site.",
         ) from error
-    except (pickle.UnpicklingError, EOFError, AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+    except Exception as error:  # a damaged stream can break off anywhere
         raise InputError(
             f"{path.name} cannot be read as a pickled model ({error})",
             expected="a whole pickle of named arrays",
@@ -147,4 +202,7 @@ def load_pickled_arrays(path: Path | str) -> dict[str, NDArray]:
 
 
 def _array(value: Any) -> NDArray:
-    return value.array() if isinstance(value, _Chumpy | _Sparse) else np.asarray(value)
+    if isinstance(value, _Array | _Chumpy | _Sparse):
+        return value.array()
+    plain = isinstance(value, int | float) or (isinstance(value, list | tuple) and all(isinstance(v, int | float) for v in value))
+    return np.asarray(value if plain else None)

@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from headcap.errors import InputError
 from headcap.heads import FlameSettings, HeadCoefficients, load_flame
@@ -176,3 +177,26 @@ def test_files_that_are_no_model_are_refused(tmp_path, flame_pickle, flame_array
     np.savez(tmp_path / "texture.npz", vt=np.zeros((3, 2)))
     with pytest.raises(InputError, match="expected vt"):
         load_flame(flame_pickle, texture=tmp_path / "texture.npz")
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4, 5])
+def test_arrays_of_any_protocol_order_and_type_come_back(tmp_path, rng, protocol):
+    content = {
+        "columns": np.asfortranarray(rng.normal(size=(4, 3))),
+        "big_endian": rng.normal(size=5).astype(">f4"),
+        "flags": np.array([True, False]),
+        "bytes": np.arange(256, dtype=np.uint8),
+        "empty": np.zeros((0, 3)),
+        "scalar": np.float64(2.5),
+        "numbers": [1, 2, 3],
+        "row_matrix": sparse.csr_matrix(np.eye(3)),
+        "coordinates": sparse.coo_matrix(np.eye(2)),
+    }
+    noise = {"text": np.array(["a"]), "fields": np.zeros(2, [("x", "f8")]), "nested": {"a": 1}, "words": ["a"]}
+    (tmp_path / "all.pkl").write_bytes(pickle.dumps(content | noise, protocol=protocol))
+    found = load_pickled_arrays(tmp_path / "all.pkl")
+    assert set(found) == set(content)
+    for key, value in content.items():
+        value = value.toarray() if sparse.issparse(value) else np.asarray(value)
+        assert np.array_equal(found[key], value), key
+        assert found[key].dtype == value.dtype
