@@ -1,0 +1,29 @@
+"""How pitch is tracked, features are pooled and regressors are trained."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class PitchSettings(BaseModel):
+    """Pitch by correlation and the cheapest path; costs are per step of 10 ms, as Boersma 1993 gives them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    lowest_hz: float = Field(80.0, ge=50, le=200, description="lowest pitch; b1 = 0 (paper section 7)")
+    highest_hz: float = Field(350.0, ge=200, le=600, description="highest pitch; b1 = 1 (paper section 7)")
+    window_s: float = Field(0.040, ge=0.03, le=0.1, description="sound that one pitch estimate sees: three longest periods")
+    voicing_threshold: float = Field(0.45, gt=0, lt=1, description="correlation at which voiced and unvoiced are even")
+    octave_cost: float = Field(0.05, ge=0, le=0.3, description="correlation that a doubled period must gain to be preferred")
+    octave_jump_cost: float = Field(0.35, ge=0, description="of a change of pitch by one octave")
+    voicing_change_cost: float = Field(0.14, ge=0, description="of a change between voiced and unvoiced")
+    pause_below_speech_db: float = Field(15.9, ge=0, description="sound this far below active speech is half lost in the pause")
+    candidates: int = Field(8, ge=1, le=20, description="pitches kept per step")
+    lookahead_s: float = Field(0.080, ge=0, le=1, description="later sound that may still change a decision")
+
+
+class FeatureSettings(BaseModel):
+    """Audio features of a visual frame."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pitch: PitchSettings = Field(default_factory=PitchSettings, description="how pitch is tracked")
+    pooled_orders: int = Field(6, ge=1, le=64, description="cosines over the 520 ms that pooled features keep of each course")
