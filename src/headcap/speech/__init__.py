@@ -8,8 +8,10 @@ from headcap.speech.features import FeatureSet, SpeechFeatures, read_speech, spe
 from headcap.speech.framing import RATE_HZ, centres_at, visual_centres
 from headcap.speech.level import speech_level
 from headcap.speech.pitch import PitchStream, PitchTrack, track_pitch
-from headcap.speech.settings import FeatureSettings, PitchSettings
+from headcap.speech.regressor import SpeechCoefficients, SpeechRegressor
+from headcap.speech.settings import FeatureSettings, PitchSettings, RidgeSettings
 from headcap.speech.stream import FeatureStream
+from headcap.speech.training import SpeechErrors, SpeechTake, speech_errors, train_speech_regressor
 
 __all__ = [
     "RATE_HZ",
@@ -19,11 +21,18 @@ __all__ = [
     "PitchSettings",
     "PitchStream",
     "PitchTrack",
+    "RidgeSettings",
+    "SpeechCoefficients",
+    "SpeechErrors",
     "SpeechFeatures",
+    "SpeechRegressor",
+    "SpeechTake",
     "centres_at",
     "read_speech",
+    "speech_errors",
     "speech_features",
     "speech_level",
     "track_pitch",
+    "train_speech_regressor",
     "visual_centres",
 ]

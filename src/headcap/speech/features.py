@@ -45,7 +45,8 @@ class SpeechFeatures:
     """(u, 4): log of gain and of rms above the pause, log pitch 0 to 1, voiced 1 or 0."""
     windows: NDArray[np.int64]
     """(n, 64) audio frames of each visual frame."""
-    pooled_orders: int
+    settings: FeatureSettings
+    """How they were made."""
     first: int = 0
     """Number of the first visual frame."""
 
@@ -75,7 +76,7 @@ class SpeechFeatures:
             yield replace(self, windows=self.windows[start : start + frames], first=self.first + start)
 
     def _pooled(self, frames: NDArray[np.float32]) -> NDArray[np.float32]:
-        table = cosines(self.pooled_orders, CONTEXT_FRAMES).astype(np.float32)
+        table = cosines(self.settings.pooled_orders, CONTEXT_FRAMES).astype(np.float32)
         return _rows(np.matmul(table, frames[self.windows]))
 
 
@@ -115,7 +116,7 @@ def speech_features(
     level = speech_level(samples) if level is None else level
     unique, windows = np.unique(starts, return_inverse=True)
     frames = frame_features(samples, unique, track_pitch(samples, settings.pitch, level), settings.pitch, level)
-    return SpeechFeatures(*frames, windows.reshape(starts.shape), settings.pooled_orders)
+    return SpeechFeatures(*frames, windows.reshape(starts.shape), settings)
 
 
 def check_length(samples: NDArray) -> NDArray:

@@ -1,5 +1,7 @@
 """How pitch is tracked, features are pooled and regressors are trained."""
 
+import math
+
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -27,3 +29,24 @@ class FeatureSettings(BaseModel):
 
     pitch: PitchSettings = Field(default_factory=PitchSettings, description="how pitch is tracked")
     pooled_orders: int = Field(6, ge=1, le=64, description="cosines over the 520 ms that pooled features keep of each course")
+
+
+class RidgeSettings(BaseModel):
+    """Penalties that cross-validation chooses from, as multiples of the inputs' mean power.
+
+    The lambda of eq. 25 is such a multiple times tr(X^T X) / p, so that the range fits any units and any number of frames.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    least: float = Field(1e-4, gt=0, description="smallest penalty tried")
+    most: float = Field(1e2, gt=0, description="largest penalty tried")
+    per_decade: int = Field(2, ge=1, le=10, description="penalties tried in each factor of ten")
+    parts_of_one_take: int = Field(5, ge=2, description="stretches that a single take is cut into for cross-validation")
+    block_frames: int = Field(1024, ge=1, description="frames whose windows are in memory at a time")
+
+    @property
+    def penalties(self) -> tuple[float, ...]:
+        """In rising order."""
+        decades = math.log10(self.most / self.least)
+        return tuple(self.least * 10 ** (k / self.per_decade) for k in range(round(decades * self.per_decade) + 1))

@@ -80,7 +80,7 @@ class FeatureStream:
         chosen = np.searchsorted(self._starts, unique)
         parts = (part[chosen] for part in self._frames)
         self._next += len(wanted)
-        found = SpeechFeatures(*parts, windows.reshape(wanted.shape), self._settings.pooled_orders, first)
+        found = SpeechFeatures(*parts, windows.reshape(wanted.shape), self._settings, first)
         self._forget()
         return found
 
