@@ -36,8 +36,8 @@ class PitchCandidates:
         Column 0 is the unvoiced state: pitch 0, strength the voicing threshold. Places without a candidate have strength
         -inf. Strength is the normalised correlation r(T) = sum w u v / sqrt(sum w u^2 + e) (sum w v^2 + e) of the sound u
         with the sound v one period T later, both placed evenly around the centre, w a Hann window and e the energy of a
-        pause, less `octave_cost` per octave that T is longer than the shortest. Lags between samples come from 4-fold
-        band-limited interpolation and a parabola.
+        pause, less `octave_cost` per octave that T is longer than the range's middle: the cost is to choose among octaves and
+        not to decide on voice. Lags between samples come from 4-fold band-limited interpolation and a parabola.
         """
         settings = self._settings
         pitch_hz, strength = _find(
@@ -129,7 +129,7 @@ def _find(samples, centres, weights, low, high, pause_power, table, states, octa
             if r[lag] <= _LEAST or r[lag] <= r[lag - 1] or r[lag] < r[lag + 1]:
                 continue
             period, height = _refine(r, lag, table)
-            height -= octave_cost * np.log2(period / low)
+            height -= 0.5 * octave_cost * np.log2(period / low * period / high)
             weakest = 1
             for k in range(2, states):
                 if strength[step, k] < strength[step, weakest]:
