@@ -40,6 +40,7 @@ def test_the_package_keeps_its_floors(copied: Path) -> None:
         ("evaluation/metrics.py", "import headcap.synthetic.settings"),
         ("heads/model.py", "import headcap.neck.larynx"),
         ("recordings/probe.py", "import snakemake"),
+        ("heads/sculpt.py", "import headcap.speech.lpc"),
     ],
 )
 def test_each_guard_can_fail(copied: Path, module: str, violation: str) -> None:

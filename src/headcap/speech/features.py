@@ -19,6 +19,7 @@ from headcap.speech.lpc import linear_prediction
 from headcap.speech.pitch import PitchTrack, track_pitch
 from headcap.speech.settings import FeatureSettings, PitchSettings
 
+_FRAMES_AT_A_TIME = 16384  # what is computed on the way is ten times what is kept
 _PAUSE_BELOW_SPEECH = 10 ** (-30 / 20)
 
 
@@ -137,6 +138,15 @@ def frame_features(
 
     The first of `samples` has number `offset`. An unvoiced frame has pitch 0 and voiced 0 (paper section 7, audio feature).
     """
+    samples = np.ascontiguousarray(samples, np.float64)  # once, and not for each part
+    parts = [starts[k : k + _FRAMES_AT_A_TIME] for k in range(0, max(len(starts), 1), _FRAMES_AT_A_TIME)]
+    found = [_frame_features(samples, part, pitch, settings, level, offset) for part in parts]
+    return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
+
+
+def _frame_features(
+    samples: NDArray, starts: NDArray[np.int64], pitch: PitchTrack, settings: PitchSettings, level: float, offset: int
+) -> tuple[NDArray[np.float32], ...]:
     prediction = linear_prediction(samples, starts, offset)
     pitch_hz = pitch.at(starts + FRAME_SAMPLES // 2)
     voiced = pitch_hz > 0

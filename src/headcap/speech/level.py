@@ -31,11 +31,17 @@ def speech_level(samples: NDArray) -> float:
 
 
 def check_samples(samples: NDArray) -> NDArray:
-    """The samples as an array (n,); raises `InputError` where they are not mono or not finite."""
+    """The samples as an array (n,); raises `InputError` where they are not mono, not finite, or integers of unknown scale."""
     samples = np.asarray(samples)
     if samples.ndim != 1:
         raise InputError(
             f"sound of shape {samples.shape}", expected="mono samples (n,)", remedy="Read recordings with read_speech"
+        )
+    if not np.issubdtype(samples.dtype, np.floating):
+        raise InputError(
+            f"sound samples of type {samples.dtype}",
+            expected="floating point numbers, full scale 1",
+            remedy="Divide integers by their range",
         )
     bad = np.count_nonzero(~np.isfinite(samples))
     if bad:

@@ -77,8 +77,9 @@ def train_speech_regressor(
     `takes` are read once and one at a time, windows in blocks, so memory does not grow with frames. With the paper's
     features the regressions are the paper's: phi without bias and with one lambda, tau and alpha with bias; with pooled
     features inputs are standardised, all outputs have a bias and lambdas of their own. Penalties come from leaving takes
-    out; a single take is cut into stretches for that. Takes without any voice train the larynx on loudness alone, which
-    the figure `voiced_share` shows. Raises `InputError` for no take, takes of different coefficients, too few frames.
+    out; a single take is cut into stretches for that, which hear up to 0.26 s of each other. Takes without any voice train
+    the larynx on loudness alone, which the figure `voiced_share` shows. Raises `InputError` for no take, takes of different
+    coefficients, too few frames.
     """
     settings = settings or RidgeSettings()
     speech, larynx, voiced, settings_seen = [], [], [], []

@@ -86,3 +86,5 @@ def test_what_is_no_sound_is_refused():
         track_pitch(np.where(np.isin(np.arange(100), [7, 50]), np.nan, 0.1))
     with pytest.raises(InputError, match="mono"):
         track_pitch(np.zeros((100, 2)))
+    with pytest.raises(InputError, match="samples of type int16"):
+        track_pitch(np.zeros(100, np.int16))
