@@ -301,20 +301,28 @@ class HeadModel:
         """sha256 of the triangles: what maps and masks over the vertices must agree on."""
         return _digest([np.array(len(self.vertices)), self.triangles])
 
-    def save(self, path: Path | str) -> None:
-        """Write as npz artifact `headcap.head_model/1`."""
+    def to_arrays(self) -> tuple[dict[str, NDArray], dict]:
+        """Arrays and plain record that tell the model; `from_arrays` is the inverse."""
         arrays = {name: getattr(self, name) for name in _NUMBERS if getattr(self, name) is not None}
         arrays |= {f"region/{name}": mask for name, mask in self.regions.items()}
-        meta = {"name": self.name, "landmarks": self.landmarks, "expression_names": list(self.expression_names)}
-        save_arrays(path, KIND, SCHEMA, arrays, meta)
+        return arrays, {"name": self.name, "landmarks": self.landmarks, "expression_names": list(self.expression_names)}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray], meta: dict) -> HeadModel:
+        """The model that `to_arrays` told."""
+        regions = {name.removeprefix("region/"): array for name, array in arrays.items() if name.startswith("region/")}
+        numbers = {name: array for name, array in arrays.items() if not name.startswith("region/")}
+        names = tuple(meta["expression_names"])
+        return cls(name=meta["name"], regions=regions, landmarks=meta["landmarks"], expression_names=names, **numbers)
+
+    def save(self, path: Path | str) -> None:
+        """Write as npz artifact `headcap.head_model/1`."""
+        save_arrays(path, KIND, SCHEMA, *self.to_arrays())
 
     @classmethod
     def load(cls, path: Path | str) -> HeadModel:
         """Read what `save` wrote; raises `ArtifactError`."""
-        arrays, meta = load_arrays(path, KIND, SCHEMA)
-        regions = {name.removeprefix("region/"): arrays.pop(name) for name in list(arrays) if name.startswith("region/")}
-        names = tuple(meta["expression_names"])
-        return cls(name=meta["name"], regions=regions, landmarks=meta["landmarks"], expression_names=names, **arrays)
+        return cls.from_arrays(*load_arrays(path, KIND, SCHEMA))
 
     # -- within ---------------------------------------------------------------------------------------------------------------
 
@@ -399,7 +407,7 @@ def _flat(array: NDArray | None, batch: tuple[int, ...], tail: int) -> NDArray |
         return array
     array = np.asarray(array)
     rest = array.shape[array.ndim - tail :]
-    return np.broadcast_to(array, (*batch, *rest)).reshape(-1, *rest)
+    return np.broadcast_to(array, (*batch, *rest)).reshape(_count(batch), *rest)
 
 
 def _flattened(given: HeadCoefficients, batch: tuple[int, ...]) -> HeadCoefficients:

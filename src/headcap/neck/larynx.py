@@ -148,16 +148,23 @@ class LarynxMap:
                 remedy="Train the larynx again on this head model, or load the one it came with.",
             )
 
+    def to_arrays(self) -> tuple[dict[str, NDArray], dict]:
+        """Arrays and plain record that tell the map; `from_arrays` is the inverse."""
+        return {name: getattr(self, name) for name in _ARRAYS}, {"pitch_m": self.pitch_m, "topology_digest": self.topology_digest}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray], meta: dict) -> LarynxMap:
+        """The map that `to_arrays` told."""
+        return cls(**arrays, **meta)
+
     def save(self, path: Path | str) -> None:
         """Write as npz artifact `headcap.larynx_map/1`."""
-        meta = {"pitch_m": self.pitch_m, "topology_digest": self.topology_digest}
-        save_arrays(path, KIND, SCHEMA, {name: getattr(self, name) for name in _ARRAYS}, meta)
+        save_arrays(path, KIND, SCHEMA, *self.to_arrays())
 
     @classmethod
     def load(cls, path: Path | str) -> LarynxMap:
         """Read what `save` wrote; raises `ArtifactError`."""
-        arrays, meta = load_arrays(path, KIND, SCHEMA)
-        return cls(**arrays, **meta)
+        return cls.from_arrays(*load_arrays(path, KIND, SCHEMA))
 
     def _places(self) -> tuple[NDArray, NDArray, NDArray]:
         """Each vertex's column, share of the next column, and row (fractional), in pixels."""

@@ -1,10 +1,23 @@
 """One bare throat, its chart and a larynx of known form on it."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 
 from headcap.heads import HeadModel, procedural_model
-from headcap.neck import LarynxMap, NeckChart, build_chart, larynx_map
+from headcap.neck import (
+    LarynxMap,
+    NeckChart,
+    NeckPerson,
+    SpeechSubject,
+    SpeechTraining,
+    SpeechTrainingSettings,
+    build_chart,
+    larynx_map,
+    train_speech,
+)
+from headcap.neck.base_shape import Throat, bare_base
 
 
 def bump_m(uv_m: np.ndarray) -> np.ndarray:
@@ -31,3 +44,55 @@ def larynx(model, chart) -> LarynxMap:
     rows, columns = empty.weights_m.shape
     u, v = np.meshgrid(np.arange(columns), np.arange(rows))
     return empty.with_weights(bump_m(empty.origin_m + empty.pitch_m * np.stack([u, v], axis=-1)))
+
+
+@dataclass(frozen=True)
+class Spoken:
+    """A person whose throat moves in a known way: a larynx of known form, and four smooth motions of the whole neck."""
+
+    subject: SpeechSubject
+    person: NeckPerson
+    tau_m: np.ndarray
+    alpha: np.ndarray
+
+
+def speak(model: HeadModel, larynx: LarynxMap, seed: int, frames: int) -> Spoken:
+    """A rehearsed speech take at 60 frames per second with 0.05 mm of noise; the smooth motions are larger than the larynx's."""
+    rng = np.random.default_rng(seed)
+    base = np.array(model.vertices)
+    base[larynx.vertices] = bare_base(Throat.of(base, model.triangles, larynx))
+    own = larynx.with_weights(rng.uniform(0.7, 1.1) * larynx.weights_m)
+    time_s = np.arange(frames) / 60
+    tau = 0.006 * np.sin(4.4 * time_s + rng.uniform(0, 6)) + 0.003 * np.sin(14.5 * time_s)
+    alpha = 1 - 12 * tau + 0.05 * rng.normal(size=frames)
+    phases = rng.uniform(0, 6, 4)
+    weights = 1e-3 * np.array([2.0, 1.4, 1.0, 0.8]) * np.sin(np.outer(time_s, [5.7, 8.8, 13.2, 18.8]) + phases)
+    meshes = base + np.tensordot(weights, smooth_motions(model, larynx), axes=1)
+    meshes[:, larynx.vertices] += own.offset(tau, alpha).values
+    neutral = base.copy()
+    neutral[larynx.vertices] += own.offset(0.0).values
+    meshes += rng.normal(0, 5e-5, meshes.shape)
+    return Spoken(SpeechSubject(f"s{seed}", neutral, meshes.astype(np.float32)), NeckPerson(f"s{seed}", base, own), tau, alpha)
+
+
+def smooth_motions(model: HeadModel, larynx: LarynxMap) -> np.ndarray:
+    """(4, n, 3) bulges 40 to 80 mm wide about the throat, the third one sideways and odd."""
+    away = model.vertices - model.vertices[larynx.vertices].mean(0)
+    out = []
+    for k, (width, axis) in enumerate([(0.04, 2), (0.06, 1), (0.05, 0), (0.08, 2)]):
+        bulge = np.exp(-0.5 * ((away - [0, 0.02 * k - 0.02, 0]) ** 2).sum(1) / width**2)
+        out.append((bulge * (away[:, 0] / 0.05 if axis == 0 else 1.0))[:, None] * np.eye(3)[axis])
+    return np.array(out)
+
+
+@pytest.fixture(scope="session")
+def spoken(model, larynx) -> tuple[Spoken, ...]:
+    return tuple(speak(model, larynx, seed, 260) for seed in (1, 2))
+
+
+@pytest.fixture(scope="session")
+def trained(model, chart, spoken) -> SpeechTraining:
+    """Both takes but their last 60 frames."""
+    subjects = [replace(one.subject, meshes=one.subject.meshes[:200]) for one in spoken]
+    empty = larynx_map(model, chart, np.array([0.0, 0.0, 1.0]))
+    return train_speech(model, empty, subjects, SpeechTrainingSettings(iterations=4, reduced=24))
