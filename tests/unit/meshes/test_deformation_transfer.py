@@ -35,7 +35,7 @@ def target():
 
 def test_reproduces_the_source_on_the_source(source):
     vertices, triangles = source
-    moved = bent(vertices) + [0.5, 0.0, 0.2]
+    moved = bent(vertices) + np.array([0.5, 0.0, 0.2])
     assert DeformationTransfer(vertices, vertices, triangles)(moved) == pytest.approx(moved, abs=1e-12)
 
 
@@ -91,14 +91,14 @@ def test_is_the_least_squares_solution_with_free_fourth_vertices(source, target)
 
 def test_two_pieces_stay_where_they_belong(source, target):
     vertices, triangles = source
-    pair = np.concatenate([vertices, vertices + [0.5, 0.0, 0.0]])
+    pair = np.concatenate([vertices, vertices + np.array([0.5, 0.0, 0.0])])
     both = np.concatenate([triangles, triangles + len(vertices)])
-    aims = np.concatenate([target, target + [0.5, 0.0, 0.0]])
+    aims = np.concatenate([target, target + np.array([0.5, 0.0, 0.0])])
     moved = pair.copy()
     moved[len(vertices) :] += [0.0, 0.03, 0.0]
     found = DeformationTransfer(pair, aims, both)(moved)
     assert found[: len(vertices)] == pytest.approx(target, abs=1e-12)
-    assert found[len(vertices) :] == pytest.approx(aims[len(vertices) :] + [0.0, 0.03, 0.0], abs=1e-12)
+    assert found[len(vertices) :] == pytest.approx(aims[len(vertices) :] + np.array([0.0, 0.03, 0.0]), abs=1e-12)
 
 
 def test_still_anchors_hold_the_target_still(source, target):
