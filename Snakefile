@@ -1,5 +1,5 @@
 """
-headcap: from the recordings of a camera rig to a tracked head.
+headcap: from the recordings of a camera rig to a tracked head and a model of its neck.
 
     snakemake                                            the demo study
     snakemake --configfile config/sessions/NAME.yaml     one capture session
@@ -58,5 +58,6 @@ include: "rules/calibrate.smk"
 include: "rules/register.smk"
 include: "rules/reconstruct.smk"
 include: "rules/track.smk"
+include: "rules/train_neck.smk"
 include: "rules/evaluate.smk"
 include: "rules/report.smk"

@@ -23,6 +23,7 @@ def run(
     clouds: list[Path],
     starts: list[Path],
     sequences: list[Path],
+    necks: list[Path],
     metrics: Path,
     takes: list[str],
     scan: dict,
@@ -43,7 +44,7 @@ def run(
         kind="metrics",
         stage="evaluate",
         settings_digest=digest_settings(settings=settings),
-        inputs=[rig, template, placement, *ingested, *offsets, *timelines, *clouds, *starts, *sequences],
+        inputs=[rig, template, placement, *ingested, *offsets, *timelines, *clouds, *starts, *sequences, *necks],
         figures={},
     )
 

@@ -284,7 +284,21 @@ def session_results(wildcards):
         "clouds": session_clouds(wildcards),
         "starts": [f"{folder}/track/{take}/start.npz" for take in names],
         "sequences": [f"{folder}/track/{take}/sequence.json" for take in names],
+        "necks": [f"{folder}/train_neck/fits.npz"] if speech_takes(wildcards) else [],
     }
+
+
+def speech_takes(wildcards):
+    """Takes in which the person speaks."""
+    return [take.name for take in session_of(wildcards).takes if take.kind == "speech"]
+
+
+def speech_sequences(wildcards):
+    """Tracked takes in which the person speaks."""
+    return [
+        f"results/{wildcards.session}/track/{take}/sequence.json"
+        for take in speech_takes(wildcards)
+    ]
 
 
 def sync_figures(wildcards):

@@ -19,6 +19,7 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
+from headcap.neck.person_training import NeckTrainingSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.place import PlaceSettings
@@ -151,6 +152,7 @@ class Session(_Settings):
     register_scan: RegisterSettings = Field(default=RegisterSettings(), alias="register")
     place: PlaceSettings = PlaceSettings()
     track: TrackSettings = TrackSettings()
+    train_neck: NeckTrainingSettings = NeckTrainingSettings()
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
         default=None, description="Render the recordings first; what the session does not say is then taken from here."

@@ -69,7 +69,9 @@ def _performance(random: np.random.Generator) -> HeadCoefficients:
     placement = np.tile(np.eye(4), (FRAMES, 1, 1))
     placement[:, :3, :3] = rotation_matrices(0.1 * np.sin(np.stack([t, 2 * t, 3 * t], axis=-1)))
     psi = np.sin(2 * np.pi * (0.5 * t[:, None] + random.random(100))) * random.normal(0, 0.7, 100)
-    return HeadCoefficients(expression=psi * np.clip(2 * t, 0, 1)[:, None], pose=np.stack([neck, jaw], axis=1), placement=placement)
+    return HeadCoefficients(
+        expression=psi * np.clip(2 * t, 0, 1)[:, None], pose=np.stack([neck, jaw], axis=1), placement=placement
+    )
 
 
 def _in_turn(model: HeadModel, meshes: np.ndarray, truth: HeadCoefficients) -> np.ndarray:

@@ -97,6 +97,11 @@ CATALOGUE: dict[str, FigureKind] = {
     "track.cloud_distance_median_mm": _length("reconstructed points to the tracked mesh, median", needs_truth=False),
     "track.surface_flow_residual": _stated("", "what photographs and textured mesh still differ by, worst frame"),
     "track.last_step_mm": _stated("mm", "rms step of the vertices in the last refinement, worst frame"),
+    "neck.larynx_correlation": FigureKind("", "slide of the fitted larynx with the height of the true one, Pearson", 0.8, True),
+    "neck.base_error_mm": _stated("mm", "neck at rest with pose and expression alone, speech takes, mean"),
+    "neck.error_mm": _stated("mm", "the same with larynx and speech blendshapes trained on these takes, mean"),
+    "neck.speech_error_drop_mm": _stated("mm", "what larynx and speech blendshapes take off that error", at_least=True),
+    "neck.slide_range_mm": _stated("mm", "how far the larynx slid, 5th to 95th percentile"),
     "track.flipped_triangles": _stated("", "triangles turned by more than 90 degrees against all around them, worst frame"),
 }
 

@@ -110,6 +110,13 @@ class Truth:
         """The true surface of one take; the two used last are kept in memory."""
         return _load_take(self.folder / f"{take}.npz", take)
 
+    def larynx_height(self, take: str) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Times (t,) on the true clock and the larynx's height (t,) over its rest, metres; None where the take tells none."""
+        with np.load(self.folder / f"{take}.npz") as arrays:
+            if "larynx_dy_m" not in arrays:
+                return None
+            return arrays["time_s"].astype(float), arrays["larynx_dy_m"].astype(float)
+
     @cached_property
     def _topology(self) -> dict[str, NDArray]:
         with np.load(self.folder / "topology.npz", allow_pickle=False) as archive:

@@ -29,6 +29,10 @@ class SpeechFit:
         """(f,) frames that could be fitted."""
         return np.isfinite(self.tau_m)
 
+    def frames(self, chosen: slice) -> SpeechFit:
+        """Some of the frames."""
+        return SpeechFit(self.tau_m[chosen], self.alpha[chosen], self.phi[chosen])
+
 
 class SpeechFitter:
     """Fits tau, alpha and phi of one person, all at once: nothing is iterated, every frame stands for itself."""

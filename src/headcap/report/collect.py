@@ -88,6 +88,7 @@ def collect_report(
         calibration=_calibration(folder, result, described.board, board_pictures) if result else None,
         register=_register(session, described.takes, scan) if session.template.is_file() else None,
         takes=takes,
+        neck_figure=_picture(session.neck_figure),
         allowed=described.allowed,
         rehearsed=described.rehearsed,
         manifests=_manifests(folder),

@@ -47,6 +47,7 @@ def write_report(inputs: ReportInputs, path: Path | str) -> None:
         calibration=_calibration(inputs.calibration, inputs) if inputs.calibration else None,
         register=_register(inputs.register, inputs) if inputs.register else None,
         takes=[(take, _sync(take, inputs), *_take(take, inputs)) for take in inputs.takes],
+        neck=_neck(inputs),
         legend=pictures.error_legend_colours(),
         settings=json.dumps(inputs.settings, indent=2, sort_keys=True, default=str),
     )
@@ -90,7 +91,7 @@ class _Row:
 
 def _rows(inputs: ReportInputs) -> list[_Row]:
     """Rows of the table, in the order of the stages and the catalogue."""
-    stages, names = ("rig", "ingest", "sync", "calibrate", "reconstruct", "register", "place", "track"), list(CATALOGUE)
+    stages, names = ("rig", "ingest", "sync", "calibrate", "reconstruct", "register", "place", "track", "neck"), list(CATALOGUE)
     place = lambda options, key: options.index(key) if key in options else len(options)  # noqa: E731
     takes = [take.take for take in inputs.takes]
     ordered = sorted(
@@ -254,6 +255,13 @@ def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], l
         caption = "without truth: what the tracker was left with in each frame"
         over_time.append(_Shown(png_uri(diagrams.residual_curves(take.residuals)), caption, wide=True))
     return rows, over_time
+
+
+def _neck(inputs: ReportInputs) -> list[_Shown]:
+    if inputs.neck_figure is None:
+        return []
+    caption = "training of the neck model, and its coefficients over the speech takes"
+    return [_Shown(png_uri(inputs.neck_figure, 256), caption, wide=True)]
 
 
 def _limits(inputs: ReportInputs, stage: str) -> dict[str, float | None]:

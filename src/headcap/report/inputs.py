@@ -109,6 +109,8 @@ class ReportInputs:
     calibration: CalibrationReport | None = None
     register: RegisterReport | None = None
     takes: tuple[TakeReport, ...] = ()
+    neck_figure: NDArray[np.uint8] | None = None
+    """(height, width, 3) RGB: what the training of the neck model drew."""
     allowed: tuple[str, ...] = ()
     """Gates the session waives by name."""
     rehearsed: bool = False
