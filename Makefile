@@ -34,7 +34,7 @@ fmt: $(STAMP)
 	@$(BIN)/snakefmt Snakefile rules
 	@$(BIN)/headcap schema --write
 
-# make bench ONLY=stereo runs one (flow, high_resolution, speech, stereo, track); each writes results/bench/<name>.json
+# make bench ONLY=stereo runs one (flow, head_model, high_resolution, neck, speech, stereo, track); each writes results/bench/<name>.json
 bench: $(STAMP)
 	@$(BIN)/python tests/bench/run.py $(ONLY)
 
