@@ -14,6 +14,7 @@ from headcap.registration.scan_placement import ScanPlacement
 def run(
     *,
     scan: Path,
+    picks: list[Path],
     template: Path,
     placement: Path,
     described: dict,
@@ -22,8 +23,8 @@ def run(
     settings: RegisterSettings,
 ) -> None:
     loaded = load_scan(described["file"], described["unit"])
-    picks = read_picks(described["picks"], described["unit"]) if described["picks"] else None
-    found = register_scan(base_head(), loaded, settings, picks)
+    picked = read_picks(picks[0], described["unit"]) if picks else None
+    found = register_scan(base_head(), loaded, settings, picked)
     remedy = "Check the scan's unit and that it shows the neutral face; or give picks of at least three landmarks."
     enforce(judge(found.figures, limits, allow), remedy)
     ScanPlacement(found.base_from_scan).save(placement)
@@ -33,7 +34,7 @@ def run(
         kind="template",
         stage="register",
         settings_digest=digest_settings(settings=settings, unit=described["unit"]),
-        inputs=[Path(described["file"])],
+        inputs=[Path(described["file"]), *picks],
         figures=found.figures,
     )
 

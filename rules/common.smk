@@ -137,6 +137,12 @@ def scan(wildcards):
     return session.path(session.scan.file)
 
 
+def picks(wildcards):
+    """Points picked on the scan, where there are some."""
+    session = session_of(wildcards)
+    return [session.path(session.scan.picks)] if session.scan.picks else []
+
+
 def scan_paths(wildcards):
     """The scan's files, from the data root, and its unit."""
     session = session_of(wildcards)

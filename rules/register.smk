@@ -1,7 +1,7 @@
 """
 Brings the scan into the model's topology.
 
-INPUTS:   scan = the session's scan
+INPUTS:   scan = the session's scan; picks = points picked on it, where the session names some
 OUTPUTS:  template  = results/{session}/register/template.npz, with the scan's texture
           placement = results/{session}/register/placement.json, where the scan lay
 """
@@ -11,6 +11,7 @@ rule register:
     """The subject's neutral face in the model's topology."""
     input:
         scan=scan,
+        picks=picks,
     output:
         template="results/{session}/register/template.npz",
         placement="results/{session}/register/placement.json",

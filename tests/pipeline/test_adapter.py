@@ -60,6 +60,12 @@ def test_names_and_types_reach_the_stage(tmp_path: Path) -> None:
     assert "finished in" in (tmp_path / "logs" / "stage.log").read_text()
 
 
+def test_a_session_may_have_no_file_of_a_kind(tmp_path: Path) -> None:
+    given = job(tmp_path, frames=None, settings={})
+    given.input = Named(clouds=[], rig="rig.json")
+    assert adapter.arguments(stage, given)["clouds"] == []
+
+
 def test_rule_and_stage_must_agree(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match=r"do not agree on \['frames', 'frmes'\]"):
         adapter.arguments(stage, job(tmp_path, frmes=None, settings={}))
