@@ -83,7 +83,8 @@ class DeformationTransfer:
         share = weight[self.triangles].mean(axis=1) * np.linalg.norm(triangle_normals(target, self.triangles), axis=1)
         piece = self._piece[self.triangles[:, 0]]
         share = share / np.bincount(piece, share, pieces)[piece]
-        self._shares = sparse.csr_array((share, (piece, np.arange(len(piece)))), shape=(pieces, len(piece)))
+        near = np.flatnonzero(share)
+        self._shares = sparse.csr_array((share[near], (piece[near], near)), shape=(pieces, len(piece)))
 
     def _check(self, source: NDArray, target: NDArray) -> None:
         self._shape = target.shape

@@ -33,7 +33,7 @@ class PoseSettings(BaseModel):
     vertices_per_bone: int = Field(120, ge=10, description="Vertices that each of trunk, head and jaw are told by")
     noise_mm: float = Field(1.0, gt=0, description="Standard deviation of what neither pose nor expression explains")
     robust_sigmas: float = Field(3.0, gt=0, description="Residuals beyond count linearly (Huber)")
-    iterations: int = Field(20, ge=1, description="Most Gauss-Newton steps per frame")
+    iterations: int = Field(50, ge=1, description="Most Gauss-Newton steps per frame")
     settled: float = Field(1e-5, gt=0, description="Steps below this (radians, metres) end the search")
 
 

@@ -56,7 +56,7 @@ def grow_subject(base: Template, settings: SubjectSettings, seed: int) -> Subjec
     head = base.with_vertices(identity.vary(base.vertices, random, settings.identity))
     places = find_places(head)
     head = head.with_vertices(identity.bare_throat(head.vertices, head.triangles, places))
-    places = replace(places, larynx=_throat_place(head.vertices, places))
+    places = replace(places, larynx=place_larynx(head.vertices, places))
     head, rims = _open_eyes(head, places)
     skin = _grow_skin(head, rims, places, random, settings)
     hard = (
@@ -163,7 +163,7 @@ def _lit(subject: Subject) -> Subject:
     return replace(subject, openness=np.maximum(openness(rest, normals, subject.occluder), least))
 
 
-def _throat_place(points_m: NDArray, places: Places) -> NDArray[np.float64]:
+def place_larynx(points_m: NDArray, places: Places) -> NDArray[np.float64]:
     """The larynx's place on the bare throat."""
     near = np.abs(points_m - places.larynx) @ [2.0, 1.0, 0.0] + 10 * (np.abs(points_m[:, 2] - places.larynx[2]) > 0.03)
     outward, _ = throat_frame(points_m, places)

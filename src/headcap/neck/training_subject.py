@@ -1,0 +1,62 @@
+"""One person's neutral head and takes, as training is given them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from headcap.errors import InputError
+from headcap.heads import HeadModel
+from headcap.neck.compensation import check_topology
+
+LEAST_FRAMES = 10
+_MOST_TILT_DEG = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSubject:
+    """One person's pose and expression takes (section 4.1); arrays may be memory-mapped, frames that are not finite are skipped."""
+
+    name: str
+    neutral: NDArray
+    """(n, 3) metres, in the frame of the model: neutral pose, neutral expression, silent."""
+    pose: NDArray
+    """(f, n, 3) metres, pure changes of pose; no frames where there are none."""
+    expression: NDArray
+    """(f, n, 3) metres, silent changes of expression; no frames where there are none."""
+
+    def personal(self, model: HeadModel) -> HeadModel:
+        """The model of this person."""
+        return replace(model.personal(self.neutral), name=f"{model.name} of {self.name}")
+
+    def check(self, model: HeadModel, *, takes: tuple[str, ...] = ("pose", "expression")) -> None:
+        """Raise `InputError` for another topology, too few frames, or a neutral head out of the model's frame."""
+        if np.shape(self.neutral) != model.vertices.shape or not np.isfinite(self.neutral).all():
+            raise InputError(
+                f"subject {self.name}: a neutral head of {np.shape(self.neutral)}, or one that is not finite",
+                expected=f"{model.vertices.shape}, the topology of {model.name}",
+                remedy="Register the scan with this model's template.",
+            )
+        for name in takes:
+            meshes = getattr(self, name)
+            check_topology(model, meshes)
+            if len(meshes) < LEAST_FRAMES:
+                raise InputError(
+                    f"subject {self.name}: {len(meshes)} frames of {name}",
+                    expected=f"at least {LEAST_FRAMES}",
+                    remedy=f"Record a longer {name} take, or leave this subject out of the training.",
+                )
+        self._check_frame(model)
+
+    def _check_frame(self, model: HeadModel) -> None:
+        own, mean = (np.asarray(v, np.float64) - np.mean(v, axis=0, dtype=np.float64) for v in (self.neutral, model.vertices))
+        tilt_deg = np.degrees(Rotation.align_vectors(own, mean)[0].magnitude())
+        if tilt_deg > _MOST_TILT_DEG:
+            raise InputError(
+                f"subject {self.name}: the neutral head is turned by {tilt_deg:.0f} degrees against the model",
+                expected=f"at most {_MOST_TILT_DEG:.0f} degrees: blendshapes are directions in the head's frame",
+                remedy="Bring the neutral head into the model's frame: metres, y up, z out of the face.",
+            )
