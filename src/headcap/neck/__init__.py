@@ -1,26 +1,51 @@
 """The neck: the larynx that slides under the skin, speech blendshapes, their training and fitting (paper, sections 3 and 5)."""
 
 from headcap.neck.chart import Distortion, NeckChart, build_chart
+from headcap.neck.compensation import Compensation, FitSettings, SequenceFitter, compensate, fitting_error_mm
+from headcap.neck.expression_training import ExpressionTraining, ExpressionTrainingSettings, train_expressions
 from headcap.neck.larynx import LarynxMap, LarynxSettings, larynx_map
 from headcap.neck.larynx_coefficients import SlideSettings
 from headcap.neck.model import NeckModel, NeckPerson
+from headcap.neck.pose_expression_training import ErrorDrops, PoseExpressionSettings, error_drops, train_pose_expression
+from headcap.neck.pose_fitting import PoseEstimator, Poses, PoseSettings
+from headcap.neck.pose_training import PoseTraining, PoseTrainingSettings, train_pose
 from headcap.neck.speech_fitting import SpeechFit, SpeechFitter
 from headcap.neck.speech_training import SpeechSubject, SpeechTraining, SpeechTrainingSettings, train_speech
+from headcap.neck.training_subject import TrainingSubject
 
 __all__ = [
+    "Compensation",
     "Distortion",
+    "ErrorDrops",
+    "ExpressionTraining",
+    "ExpressionTrainingSettings",
+    "FitSettings",
     "LarynxMap",
     "LarynxSettings",
     "NeckChart",
     "NeckModel",
     "NeckPerson",
+    "PoseEstimator",
+    "PoseExpressionSettings",
+    "PoseSettings",
+    "PoseTraining",
+    "PoseTrainingSettings",
+    "Poses",
+    "SequenceFitter",
     "SlideSettings",
     "SpeechFit",
     "SpeechFitter",
     "SpeechSubject",
     "SpeechTraining",
     "SpeechTrainingSettings",
+    "TrainingSubject",
     "build_chart",
+    "compensate",
+    "error_drops",
+    "fitting_error_mm",
     "larynx_map",
+    "train_expressions",
+    "train_pose",
+    "train_pose_expression",
     "train_speech",
 ]

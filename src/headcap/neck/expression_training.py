@@ -1,4 +1,4 @@
-"""Expression bases E from expression takes of several subjects and from random identities (paper, section 5.1; FLAME, section 4.3)."""
+"""Expression bases E from several subjects' expression takes and from random identities (section 5.1; FLAME, section 4.3)."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def train_expressions(
     """Expression basis shared by several subjects' expression takes.
 
     Each round finds poses with the expressions there are, takes them and the pose correctives off, and makes principal components
-    (about the neutral head, which is psi = 0) of what is left. The last round adds `identities` heads drawn from the model's shape
-    space, deformed as the subjects were by deformation transfer: face and neck together, for a basis serves both. Each of
+    (about the neutral head, which is psi = 0) of what is left. The last round adds `identities` heads drawn from the shape space
+    of the model, deformed as the subjects were by deformation transfer: face and neck together, for a basis serves both. Each of
     them weighs as much as its subject. Raises `InputError` as `TrainingSubject.check`.
     """
     settings = settings or ExpressionTrainingSettings()

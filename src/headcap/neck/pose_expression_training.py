@@ -1,4 +1,4 @@
-"""Refining a head model's pose correctives and expressions, and what that gains on a person it has not seen (section 5.1, table 1)."""
+"""Refining pose correctives and expressions of a head model, and what a person it has not seen gains (section 5.1, table 1)."""
 
 from __future__ import annotations
 

@@ -93,13 +93,14 @@ def train_pose(
 ) -> PoseTraining:
     """Pose correctives shared by several subjects' pose takes.
 
-    P minimises sum_j |d_j - P F(theta_j)|^2 + shrink * frames * (|P - P_0|^2 + smooth^4 |Laplacian (P - P_0)|^2), d_j what frame j
-    shows at rest and P_0 the model's own: the change is drawn to zero, as FLAME's training draws P, so that what takes do not
-    show keeps what the model had. A joint that hardly turns is left out: the few tenths of a degree that a shut jaw seems to turn
-    follow the neck's misfit, and correctives learnt from them would be wrong by centimetres for an open one.
+    P minimises sum_j |d_j - P F(theta_j)|^2 + shrink * frames * (|P - P_0|^2 + smooth^4 |Laplacian (P - P_0)|^2), with d_j what
+    frame j shows at rest and P_0 the model's own: the change is drawn to zero, as FLAME's training draws P, so that what takes do
+    not show keeps what the model had. A joint that hardly turns is left out: the few tenths of a degree that a shut jaw seems to
+    turn follow the neck's misfit, and correctives learnt from them would be wrong by centimetres for an open one.
 
     Poses are found where the skin tells of a bone and nothing else, P over the whole head. They do not minimise one energy
-    together: a round that raises the objective ends the search, and the one before is kept. Raises `InputError` as `TrainingSubject.check`.
+    together: a round that raises the objective ends the search, and the one before is kept. Raises `InputError` as
+    `TrainingSubject.check`.
     """
     settings = settings or PoseTrainingSettings()
     for subject in subjects:

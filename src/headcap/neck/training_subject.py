@@ -18,7 +18,7 @@ _MOST_TILT_DEG = 20.0
 
 @dataclass(frozen=True, eq=False)
 class TrainingSubject:
-    """One person's pose and expression takes (section 4.1); arrays may be memory-mapped, frames that are not finite are skipped."""
+    """One person's pose and expression takes (section 4.1); arrays may be memory-mapped, frames that are not finite skipped."""
 
     name: str
     neutral: NDArray

@@ -116,15 +116,16 @@ def neck_muscles(head: Template, places: Places) -> NeckMuscles:
     strands, bands = [], np.zeros(len(v))
     for side in (1, -1):
         width = side * v[head.regions["neck"] & (side * v[:, 0] > 0), 0]
-        mastoid = places.hinge + [side * 0.9 * width.max(), -0.022, -0.038]
+        mastoid = places.hinge + np.array([side * 0.9 * width.max(), -0.022, -0.038])
         sternum = np.array([side * 0.016, low + 0.012, places.larynx[2] - 0.012])
         near, along = _strand(v, mastoid, sternum, _STERNOMASTOID_RADIUS_M)
         strands.append((near * skin, along))
-        jaw = places.chin + [side * 0.024, -0.012, -0.016]
+        jaw = places.chin + np.array([side * 0.024, -0.012, -0.016])
         collar = np.array([side * 0.034, low + 0.01, places.larynx[2] - 0.02])
         near, along = _strand(v, jaw, collar, _PLATYSMA_RADIUS_M)
         bands = np.maximum(bands, near * np.sin(np.pi * np.clip(along, 0, 1)) * head.regions["neck"])
-    return NeckMuscles(vertex_normals(v, head.triangles), tuple(strands), bands)
+    # the bands lie right under the skin, wherever the line through them runs
+    return NeckMuscles(vertex_normals(v, head.triangles), tuple(strands), bands / bands.max())
 
 
 def _strand(points: NDArray, start: NDArray, end: NDArray, radius_m: float) -> tuple[NDArray, NDArray]:
