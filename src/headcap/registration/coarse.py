@@ -66,9 +66,8 @@ class CoarseTracker:
     def __init__(self, reference: Reference, settings: TrackSettings) -> None:
         self.reference, self.settings = reference, settings
         template = reference.template
-        self.graph = build_graph(
-            template.vertices, template.triangles, settings.graph, fine=lip_vertices(template), shown=reference.shown
-        )
+        firm = firmness(reference, settings.graph.inner_lips)
+        self.graph = build_graph(template.vertices, template.triangles, settings.graph, fine=lip_vertices(template), shown=firm)
         self.solver = GraphSolver(self.graph, settings.graph)
         self.refiner = Refiner(template.vertices, template.triangles, settings.refine)
 
@@ -278,3 +277,14 @@ def lip_vertices(template: Template) -> NDArray[np.bool_] | None:
     """(n,) the lips, outside and inside; None where the template names none."""
     masks = [mask for name, mask in template.regions.items() if name.startswith("lips")]
     return np.any(masks, axis=0) if masks else None
+
+
+def firmness(reference: Reference, inner_lips: float) -> NDArray[np.float64]:
+    """(n,) 1 where the reference frame shows the skin, 0 where it is hidden, between them on the lips' hidden inner sides.
+
+    These are a part of the lips and go with them, but no photograph holds them: quite free they drift apart behind closed lips
+    when the head is shaken, as firm as skin they keep the lips from rolling when the mouth opens.
+    """
+    masks = [mask for name, mask in reference.template.regions.items() if name.startswith("lips_inner")]
+    inside = np.any(masks, axis=0) if masks else np.zeros(len(reference.shown), np.bool_)
+    return np.where(reference.shown, 1.0, inner_lips * inside)

@@ -42,6 +42,12 @@ class GraphSettings(BaseModel):
     hidden_factor: float = Field(
         100.0, description="Smoothness deviation is multiplied by this between nodes that the reference frame does not show"
     )
+    inner_lips: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="How far hidden inner sides of the lips count as shown: 1 as firm as skin, 0 as free as the mouth's inside",
+    )
     steps: int = Field(3, description="Gauss-Newton steps per set of correspondences")
 
 
@@ -99,8 +105,8 @@ def build_graph(
 ) -> Graph:
     """Sample nodes by geodesic distance on a mesh (n, 3), (m, 3).
 
-    `fine` (n,) marks where they stand closer; `shown` (n,) vertices that the reference frame shows. The inside of the mouth is
-    not shown: it must stretch freely, or it would pull the lips together.
+    `fine` (n,) marks where they stand closer; `shown` (n,) is 1 at vertices that the reference frame shows, 0 where they stretch
+    freely: the inside of the mouth would else pull the lips together.
     """
     distances = edge_graph(vertices, triangles)
     spacing = np.full(len(vertices), settings.spacing_mm * 1e-3)

@@ -3,10 +3,11 @@
 import numpy as np
 
 from headcap.cameras import Camera, Rig
+from headcap.registration.coarse import firmness
 from headcap.registration.correspondence import CorrespondenceSettings
 from headcap.registration.lips import LipTracker, at_rim, near_lips
 from headcap.registration.photographs import Photograph
-from headcap.registration.reference import build_reference
+from headcap.registration.reference import Reference, build_reference
 from headcap.registration.refine import RefineSettings
 from headcap.registration.template import Template
 from headcap.registration.track_settings import LipSettings
@@ -101,3 +102,15 @@ def test_a_part_is_the_same_surface():
     assert np.array_equal(part.regions["face"], template.regions["face"][kept])
     assert kept[part.landmarks["nose"]] == 5
     assert chosen[kept].all()
+
+
+def test_hidden_inner_lips_are_half_as_firm_as_skin():
+    vertices, triangles = _sheet()
+    inner = np.abs(vertices[:, 1]) < 0.004
+    template = Template(vertices, triangles, vertices[:, :2], triangles, regions={"lips_inner_upper": inner})
+    shown = np.abs(vertices[:, 1]) > 0.002
+    found = firmness(Reference(template, (), (), shown), 0.5)
+    assert (found[shown] == 1.0).all()
+    assert (found[~shown & inner] == 0.5).all()
+    assert (found[~shown & ~inner] == 0.0).all()
+    assert np.array_equal(firmness(Reference(template, (), (), shown), 0.0), shown.astype(float))
