@@ -54,12 +54,15 @@ class FittedBlock:
 class SequenceFitter:
     """Fits pose and expression of one person's model to meshes in its topology."""
 
-    def __init__(self, model: HeadModel, settings: FitSettings | None = None) -> None:
-        """Of a personal model (its `vertices` are the neutral head). Raises `InputError` for a region the model has not."""
+    def __init__(self, model: HeadModel, settings: FitSettings | None = None, seen: NDArray[np.bool_] | None = None) -> None:
+        """Of a personal model (its `vertices` are the neutral head); `seen` (n,) masks what cameras saw, all of it by default.
+
+        Raises `InputError` for a region the model has not.
+        """
         self.model, self.settings = model, settings or FitSettings()
-        self.estimator = PoseEstimator(model, self.settings.pose)
+        self.estimator = PoseEstimator(model, self.settings.pose, seen)
         self._joints = model.joints()
-        self._solver = ExpressionSolver(model, self.settings)
+        self._solver = ExpressionSolver(model, self.settings, seen)
 
     def blocks(self, meshes: NDArray) -> Iterator[FittedBlock]:
         """Fit meshes (f, n, 3), which may be memory-mapped, block after block in order of time; each frame starts at the last.
@@ -97,8 +100,10 @@ class ExpressionSolver:
     Expression bases are scaled to the spread of people's expressions, so that psi has unit variance and the ridge is its prior.
     """
 
-    def __init__(self, model: HeadModel, settings: FitSettings) -> None:
+    def __init__(self, model: HeadModel, settings: FitSettings, seen: NDArray[np.bool_] | None = None) -> None:
         self._vertices = _region(model, settings.expression_region)
+        if seen is not None:
+            self._vertices = self._vertices[seen[self._vertices]]
         basis = model.expression_basis[:, self._vertices].reshape(len(model.expression_basis), 3 * len(self._vertices))
         self._basis = np.ascontiguousarray(basis.T)
         gram = (basis @ basis.T).astype(np.float64)
@@ -132,14 +137,20 @@ class Compensation:
 
 
 def compensate(
-    model: HeadModel, meshes: NDArray, settings: FitSettings | None = None, *, out: NDArray | None = None
+    model: HeadModel,
+    meshes: NDArray,
+    settings: FitSettings | None = None,
+    *,
+    seen: NDArray[np.bool_] | None = None,
+    out: NDArray | None = None,
 ) -> Compensation:
     """Take pose and expression off tracked meshes (f, n, 3) of one person: M_j = unskinned(M'_j) - B_P(theta) - B_E(psi) (eq. 7).
 
-    `model` is the person's (`HeadModel.personal`). `out` (f, n, 3), a memory map for long takes, receives the meshes. Frames keep
-    their numbers. Raises `InputError` for another topology or where no frame is finite.
+    `model` is the person's (`HeadModel.personal`). `seen` (n,) masks the vertices that cameras saw; the others tell nothing.
+    `out` (f, n, 3), a memory map for long takes, receives the meshes. Frames keep their numbers. Raises `InputError` for another
+    topology or where no frame is finite.
     """
-    fitter, f = SequenceFitter(model, settings), len(meshes)
+    fitter, f = SequenceFitter(model, settings, seen), len(meshes)
     out = np.empty((f, *model.vertices.shape), model.vertices.dtype) if out is None else out
     theta, placement = np.full((f, 2, 3), np.nan), np.full((f, 4, 4), np.nan)
     psi, done = np.full((f, len(model.expression_basis)), np.nan), np.zeros(f, bool)
@@ -157,11 +168,15 @@ def compensate(
 
 
 def fitting_error_mm(
-    model: HeadModel, meshes: NDArray, region: NDArray[np.bool_], settings: FitSettings | None = None
+    model: HeadModel,
+    meshes: NDArray,
+    region: NDArray[np.bool_],
+    settings: FitSettings | None = None,
+    seen: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """Mean 3D vertex error over a region (n,) of each frame (f,), millimetres, after fitting (section 7.1); NaN where skipped."""
     out = np.full(len(meshes), np.nan)
-    for block in SequenceFitter(model, settings).blocks(meshes):
+    for block in SequenceFitter(model, settings, seen).blocks(meshes):
         away = model.evaluate(block.coefficients)[:, region] - np.asarray(meshes[block.frames])[:, region]
         out[block.frames] = 1e3 * np.linalg.norm(away, axis=-1).mean(axis=-1)
     return out

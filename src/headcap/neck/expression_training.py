@@ -11,9 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.heads import HeadModel
 from headcap.meshes.deformation_transfer import DeformationTransfer
+from headcap.meshes.extension import SmoothExtension
 from headcap.neck.compensation import FitSettings, SequenceFitter
 from headcap.neck.row_sketch import RowSketch
-from headcap.neck.training_subject import TrainingSubject
+from headcap.neck.training_subject import TrainingSubject, seen_by_all
 
 _ANCHORED_SHARE = 0.9
 """Vertices that follow the trunk by this share hold a transferred head in its place."""
@@ -62,7 +63,8 @@ def train_expressions(
     Each round finds poses with the expressions there are, takes them and the pose correctives off, and makes principal components
     (about the neutral head, which is psi = 0) of what is left. The last round adds `identities` heads drawn from the shape space
     of the model, deformed as the subjects were by deformation transfer: face and neck together, for a basis serves both. Each of
-    them weighs as much as its subject. Raises `InputError` as `TrainingSubject.check`.
+    them weighs as much as its subject. Where some subject was not seen displacements are continued smoothly. Raises `InputError`
+    as `TrainingSubject.check`.
     """
     settings = settings or ExpressionTrainingSettings()
     for subject in subjects:
@@ -83,21 +85,22 @@ def _one_round(
     settings: ExpressionTrainingSettings,
     identities: NDArray,
 ) -> ExpressionTraining:
-    n = len(model.vertices)
+    n, extension = len(model.vertices), SmoothExtension(model.vertices, model.triangles, seen_by_all(model, subjects))
     sketch = RowSketch(3 * n, 2 * settings.expressions)
     frames = 0
     for subject in subjects:
         transfers = [_transfer(model, subject, identity) for identity in identities]
-        fitter = SequenceFitter(subject.personal(trained), settings.fit)
+        fitter = SequenceFitter(subject.personal(trained), settings.fit, subject.seen)
         wanted = _evenly(len(subject.expression), settings.transferred)
         # each transferred frame stands for all those between it and the next
         weight = np.sqrt(len(subject.expression) / len(wanted))
         for block in fitter.blocks(subject.expression):
             frames += len(block.frames)
-            sketch.add(block.displacement.reshape(len(block.frames), 3 * n))
+            shown = extension(block.displacement)
+            sketch.add(shown.reshape(len(block.frames), 3 * n))
             chosen = np.isin(block.frames, wanted)
             for transfer, identity in zip(transfers, identities, strict=True):
-                moved = transfer(block.displacement[chosen] + fitter.model.vertices) - identity
+                moved = transfer(shown[chosen] + fitter.model.vertices) - identity
                 sketch.add(weight * moved.reshape(len(moved), 3 * n))
     total = frames * (1 + len(identities))
     generic = model.expression_basis.reshape(len(model.expression_basis), 3 * n)

@@ -91,17 +91,19 @@ def error_drops(
     """Fit a held-out subject's takes with both models: table 1's pose and expression columns (section 7.1, 7.2).
 
     Pose takes are fitted by pose alone, expression takes by pose and expression on the whole head (`settings` may say otherwise).
-    A take without frames gives NaN. Raises `InputError` as `TrainingSubject.check`.
+    What was not seen of the person is not judged. A take
+    without frames gives NaN. Raises `InputError` as `TrainingSubject.check`.
     """
     settings = settings or FitSettings(expression_region=None)
     takes = {"pose": subject.pose, "expression": subject.expression}
     subject.check(base, takes=tuple(name for name, meshes in takes.items() if len(meshes)))
+    judged = base.regions[region] if subject.seen is None else base.regions[region] & subject.seen
     figures, skipped = {}, 0
     for stage, model in (("before", base), ("after", trained)):
         personal = subject.personal(model)
         for name, meshes in takes.items():
             chosen = without_expressions(personal) if name == "pose" else personal
-            error = fitting_error_mm(chosen, meshes, model.regions[region], settings) if len(meshes) else np.zeros(0)
+            error = fitting_error_mm(chosen, meshes, judged, settings, subject.seen) if len(meshes) else np.zeros(0)
             kept = np.isfinite(error)
             figures[f"{name}_{stage}_mm"] = float(error[kept].mean()) if kept.any() else float("nan")
             skipped += int((~kept).sum()) if stage == "after" else 0

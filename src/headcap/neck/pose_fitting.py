@@ -20,9 +20,11 @@ from headcap.neck.pose_kernel import PARAMETERS, moved, unposed_residuals
 
 _RIGID_SHARE = 0.9
 """A vertex that follows one bone by this share tells where that bone is."""
-_SPEECH_REGIONS = ("front_neck", "larynx", "eyes", "mouth_interior")
+_SPEECH_REGIONS = ("larynx", "eyes", "mouth_interior")
 """Where the skin moves by what is neither pose nor expression, or where no camera sees it."""
 _LOST_SIGMAS = 5.0
+_FLAT = 1e-5
+"""Relative fall of the energy that ends the search: what is left to gain is far below the noise."""
 
 
 class PoseSettings(BaseModel):
@@ -69,10 +71,13 @@ class PoseEstimator:
     the matrix of the expressions the same for all frames. Steps that raise the energy are damped (Levenberg-Marquardt).
     """
 
-    def __init__(self, model: HeadModel, settings: PoseSettings | None = None) -> None:
-        """Of a personal model (its `vertices` are the neutral head). Raises `InputError` where a bone has too few vertices."""
+    def __init__(self, model: HeadModel, settings: PoseSettings | None = None, seen: NDArray[np.bool_] | None = None) -> None:
+        """Of a personal model (its `vertices` are the neutral head), from the vertices (n,) that are seen.
+
+        Raises `InputError` where a bone has too few vertices.
+        """
         self.settings = settings or PoseSettings()
-        self.vertices = telling_vertices(model, self.settings.vertices_per_bone)
+        self.vertices = telling_vertices(model, self.settings.vertices_per_bone, seen)
         chosen = self.vertices
         self._rest = np.ascontiguousarray(model.vertices[chosen], np.float64)
         self._joints = np.ascontiguousarray(model.joints(), np.float64)
@@ -143,7 +148,7 @@ class PoseEstimator:
                 continue
             (turns, shift, psi), left = trial, trial_left
             fell, energy, damping = energy - trial_energy, trial_energy, max(1e-6, 0.1 * damping)
-            if np.abs(step).max() < self.settings.settled or fell <= 1e-7 * energy:
+            if np.abs(step).max() < self.settings.settled or fell <= _FLAT * energy:
                 break
         return turns, shift, psi, energy
 
@@ -177,14 +182,21 @@ class PoseEstimator:
         return step, change
 
 
-def telling_vertices(model: HeadModel, per_bone: int) -> NDArray[np.int64]:
+def telling_vertices(model: HeadModel, per_bone: int, seen: NDArray[np.bool_] | None = None) -> NDArray[np.int64]:
     """Vertices (k,) that tell where trunk, head and jaw are: spread over what follows each bone, where speech does not reach.
 
-    Of a bone's vertices those that expressions move less come first. Raises `InputError` where a bone has fewer than three.
+    Of a bone's vertices those that expressions move less come first. `seen` (n,) leaves out what no camera saw: a tracker makes
+    it up, and at the nape it goes with the head. Raises `InputError` where a bone has fewer than three.
     """
-    unsteady = np.zeros(len(model.vertices), bool)
+    unsteady = np.zeros(len(model.vertices), bool) if seen is None else ~np.asarray(seen, bool)
+    if unsteady.shape != (len(model.vertices),):
+        raise InputError(
+            f"a mask of seen vertices {unsteady.shape}",
+            expected=f"({len(model.vertices)},), the vertices of {model.name}",
+            remedy="Pass the mask of this model's template.",
+        )
     for name in _SPEECH_REGIONS:
-        unsteady |= model.regions.get(name, False)
+        unsteady = unsteady | model.regions.get(name, False)
     spread = np.sqrt((model.expression_basis.astype(np.float64) ** 2).sum(axis=(0, 2)))
     chosen = [_of_bone(model, bone, unsteady, spread, per_bone) for bone in range(len(JOINTS) + 1)]
     return np.unique(np.concatenate(chosen))
@@ -195,9 +207,9 @@ def _of_bone(model: HeadModel, bone: int, unsteady: NDArray, spread: NDArray, co
     follows = np.flatnonzero((share > _RIGID_SHARE) & ~unsteady)
     if len(follows) < 3:
         raise InputError(
-            f"head model {model.name}: {len(follows)} vertices follow the {('trunk', *JOINTS)[bone]} alone",
+            f"head model {model.name}: {len(follows)} vertices follow the {('trunk', *JOINTS)[bone]} alone and are seen",
             expected=f"at least 3 with a skinning weight above {_RIGID_SHARE}",
-            remedy="Check the model's skinning weights.",
+            remedy="Check the model's skinning weights and the mask of what was seen.",
         )
     steady = follows[np.argsort(spread[follows], kind="stable")[: max(2 * count, len(follows) // 2)]]
     return steady[_spread_out(model.vertices[steady], min(count, len(steady)))]

@@ -3,8 +3,7 @@
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-
-from headcap.geometry.rotations import rotation_matrices
+from scipy.spatial.transform import Rotation
 
 PARAMETERS = 12
 """Tangents: the placement's turn and shift, in the head's frame, then the turns of neck and jaw."""
@@ -138,5 +137,5 @@ def _invert(m, out):
 
 def moved(turns: NDArray, shift: NDArray, step: NDArray) -> tuple[NDArray, NDArray]:
     """Turns (3, 3, 3) and shift (3,) after a step of tangents (12,)."""
-    small = rotation_matrices(np.stack([step[:3], step[6:9], step[9:]]))
+    small = Rotation.from_rotvec(step.reshape(4, 3)[[0, 2, 3]]).as_matrix()
     return np.stack([turns[0] @ small[0], small[1] @ turns[1], small[2] @ turns[2]]), shift + turns[0] @ step[3:6]

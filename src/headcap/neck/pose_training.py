@@ -17,10 +17,11 @@ from scipy import sparse
 from headcap.heads import JOINTS, HeadModel
 from headcap.heads.model import POSE_FEATURES
 from headcap.heads.skinning import pose_features
+from headcap.meshes.extension import SmoothExtension
 from headcap.meshes.laplacian import Factor, bilaplacian, cotangent_laplacian, vertex_areas
 from headcap.neck.compensation import FitSettings, SequenceFitter, without_expressions
 from headcap.neck.pose_fitting import PoseSettings
-from headcap.neck.training_subject import TrainingSubject
+from headcap.neck.training_subject import TrainingSubject, seen_by_all
 
 _UNSEEN = 1e-9
 """Share of the largest feature energy below which a combination of features did not occur."""
@@ -99,20 +100,23 @@ def train_pose(
     turn follow the neck's misfit, and correctives learnt from them would be wrong by centimetres for an open one.
 
     Poses are found where the skin tells of a bone and nothing else, P over the whole head. They do not minimise one energy
-    together: a round that raises the objective ends the search, and the one before is kept. Raises `InputError` as
-    `TrainingSubject.check`.
+    together: a round that raises the objective ends the search, and the one before is kept. Where some subject was not seen the
+    change of P is continued smoothly. Raises `InputError` as `TrainingSubject.check`.
     """
     settings = settings or PoseTrainingSettings()
     for subject in subjects:
         subject.check(model, takes=("pose",))
-    solver = PoseSolver(model, settings)
+    solver, seen = PoseSolver(model, settings), seen_by_all(model, subjects)
+    extension = SmoothExtension(model.vertices, model.triangles, seen)
     basis, kept, residuals, objectives = model.pose_basis, model.pose_basis, [], []
     for _ in range(settings.rounds):
         sums = PoseSums.of(len(model.vertices))
         for subject in subjects:
-            _gather(replace(without_expressions(subject.personal(model)), pose_basis=basis), subject.pose, settings, sums)
+            personal = replace(without_expressions(subject.personal(model)), pose_basis=basis)
+            fitter = SequenceFitter(personal, FitSettings(pose=settings.pose), subject.seen)
+            _gather(fitter, subject.pose, seen, sums)
         change, left, penalty = solver(sums)
-        basis, objective = (model.pose_basis + change).astype(model.vertices.dtype), (left + penalty) / sums.frames
+        basis, objective = (model.pose_basis + extension(change)).astype(model.vertices.dtype), (left + penalty) / sums.frames
         if objectives and objective >= objectives[-1]:
             break
         kept = basis
@@ -121,11 +125,11 @@ def train_pose(
     return PoseTraining(kept, tuple(residuals), tuple(objectives), sums.frames)
 
 
-def _gather(model: HeadModel, meshes: NDArray, settings: PoseTrainingSettings, sums: PoseSums) -> None:
-    for block in SequenceFitter(model, FitSettings(pose=settings.pose)).blocks(meshes):
+def _gather(fitter: SequenceFitter, meshes: NDArray, seen: NDArray[np.bool_], sums: PoseSums) -> None:
+    for block in fitter.blocks(meshes):
         theta, whole = block.poses.theta, block.displacement.reshape(len(block.frames), -1)
-        whole += pose_features(theta).astype(whole.dtype) @ model.pose_basis.reshape(POSE_FEATURES, -1)
-        sums.add(theta, whole)
+        whole += pose_features(theta).astype(whole.dtype) @ fitter.model.pose_basis.reshape(POSE_FEATURES, -1)
+        sums.add(theta, whole.reshape(len(theta), -1, 3) * seen[:, None])
 
 
 class PoseSolver:

@@ -32,11 +32,12 @@ class RowSketch:
     def directions(self, count: int, *, least: float = 1e-4) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Orthonormal rows (k, c) and singular values (k,), falling, k <= count: those above a share of the largest."""
         self._merge(self._rank)
-        length = np.linalg.norm(self._rows, axis=1)
-        keep = min(count, int((length > least * length.max(initial=0.0)).sum()))
+        length = np.linalg.norm(self._rows.astype(np.float64), axis=1)
+        order = np.argsort(-length, kind="stable")
+        order = order[length[order] > least * length.max(initial=0.0)][:count]
         # single precision left them orthogonal to a few parts in a million
-        unit, upper = qr(self._rows[:keep].T.astype(np.float64), mode="economic")
-        return np.ascontiguousarray((unit * np.sign(np.diagonal(upper))).T), length[:keep].astype(np.float64)
+        unit, upper = qr(self._rows[order].T.astype(np.float64), mode="economic")
+        return np.ascontiguousarray((unit * np.sign(np.diagonal(upper))).T), length[order]
 
     def _merge(self, rank: int) -> None:
         if not self._pending:

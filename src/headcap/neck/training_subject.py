@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,8 @@ class TrainingSubject:
     """(f, n, 3) metres, pure changes of pose; no frames where there are none."""
     expression: NDArray
     """(f, n, 3) metres, silent changes of expression; no frames where there are none."""
+    seen: NDArray[np.bool_] | None = None
+    """(n,) vertices that cameras saw, all by default: what a tracker makes up elsewhere is not learnt from."""
 
     def personal(self, model: HeadModel) -> HeadModel:
         """The model of this person."""
@@ -49,6 +52,12 @@ class TrainingSubject:
                     expected=f"at least {LEAST_FRAMES}",
                     remedy=f"Record a longer {name} take, or leave this subject out of the training.",
                 )
+        if self.seen is not None and np.shape(self.seen) != (len(model.vertices),):
+            raise InputError(
+                f"subject {self.name}: a mask of seen vertices {np.shape(self.seen)}",
+                expected=f"({len(model.vertices)},), the vertices of {model.name}",
+                remedy="Pass the mask of this model's template.",
+            )
         self._check_frame(model)
 
     def _check_frame(self, model: HeadModel) -> None:
@@ -60,3 +69,18 @@ class TrainingSubject:
                 expected=f"at most {_MOST_TILT_DEG:.0f} degrees: blendshapes are directions in the head's frame",
                 remedy="Bring the neutral head into the model's frame: metres, y up, z out of the face.",
             )
+
+
+def seen_by_all(model: HeadModel, subjects: Sequence[TrainingSubject]) -> NDArray[np.bool_]:
+    """(n,) vertices that are seen of every subject; `InputError` where there are none."""
+    seen = np.ones(len(model.vertices), bool)
+    for subject in subjects:
+        if subject.seen is not None:
+            seen = seen & subject.seen
+    if not seen.any():
+        raise InputError(
+            f"no vertex is seen of all {len(subjects)} subjects",
+            expected="a part of the head that every subject shows",
+            remedy="Train subjects of like recordings together.",
+        )
+    return seen
