@@ -1,5 +1,6 @@
 """Pose and expression of tracked meshes: exact derivatives, falling energy, truth recovered, outliers and holes borne."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from headcap.errors import InputError
 from headcap.geometry.rotations import rotation_matrices
 from headcap.heads import HeadCoefficients, HeadModel, procedural_model
-from headcap.neck.compensation import FitSettings, SequenceFitter, compensate, fitting_error_mm, without_expressions
+from headcap.neck.compensation import BLOCK, FitSettings, SequenceFitter, compensate, fitting_error_mm, without_expressions
 from headcap.neck.pose_fitting import PoseEstimator, PoseSettings, telling_vertices
 from headcap.neck.pose_kernel import PARAMETERS, moved, unposed_residuals
 
@@ -142,6 +143,35 @@ def test_blocks_do_not_change_the_result(person, meshes, monkeypatch):
     parts = compensate(person, meshes, out=out)
     assert parts.meshes is out
     assert out == pytest.approx(whole.meshes, abs=1e-6)
+
+
+class OnDisk:
+    """Meshes that count how many frames are asked for at once."""
+
+    def __init__(self, meshes: np.ndarray, copies: int) -> None:
+        self._meshes, self.most = meshes, 0
+        self.shape, self.ndim = (copies * len(meshes), *meshes.shape[1:]), 3
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, frames) -> np.ndarray:
+        numbers = np.arange(len(self))[frames]
+        self.most = max(self.most, len(numbers))
+        return self._meshes[numbers % len(self._meshes)]
+
+
+def test_a_long_take_is_read_in_blocks_of_bounded_memory(person, meshes):
+    """An hour at 60 frames per second would take 33 GB: no more than a block of it is ever there."""
+    long = OnDisk(meshes, 10)
+    tracemalloc.start()
+    error = fitting_error_mm(person, long, person.regions["neck"])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert long.most <= BLOCK
+    # a block, its displacements and what the model makes of it, the person's own arrays; the whole take is 37 MB
+    assert peak < 8 * BLOCK * meshes[0].nbytes
+    assert error[:FRAMES] == pytest.approx(error[-FRAMES:], abs=0.02)
 
 
 def test_without_expressions_an_expression_remains_as_error(person, performance, meshes):
