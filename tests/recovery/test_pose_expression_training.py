@@ -7,13 +7,14 @@ from headcap.heads import procedural_model
 from headcap.neck import (
     ExpressionTrainingSettings,
     PoseExpressionSettings,
+    PoseTrainingSettings,
     TrainingSubject,
     error_drops,
     train_pose_expression,
 )
 from headcap.synthetic.mesh_takes import mesh_subject
 
-FRAMES, RATE_HZ = 80, 12.0
+FRAMES, RATE_HZ = 48, 10.0
 NOISE_M = 1e-4
 
 
@@ -28,9 +29,10 @@ def subject(seed: int) -> TrainingSubject:
 @pytest.fixture(scope="module")
 def models():
     base = procedural_model()
-    # frames are few for a hundred expressions: forty, so that transfers stay a small part
-    expression = ExpressionTrainingSettings(expressions=40, identities=2, transferred=20)
-    trained = train_pose_expression(base, [subject(0), subject(1)], PoseExpressionSettings(expression=expression))
+    # frames are few for a hundred expressions
+    expression = ExpressionTrainingSettings(expressions=30, identities=1, transferred=12)
+    settings = PoseExpressionSettings(pose=PoseTrainingSettings(rounds=2, smooth_mm=0.0), expression=expression)
+    trained = train_pose_expression(base, [subject(0), subject(1)], settings)
     return base, trained
 
 

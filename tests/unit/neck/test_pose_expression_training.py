@@ -97,7 +97,7 @@ def test_the_correctives_are_the_minimum_of_what_they_minimise(base, truth):
     """The decoupled, smoothed solve against the stationarity of the whole objective."""
     random = np.random.default_rng(4)
     settings = PoseTrainingSettings(shrink=1e-3, smooth_mm=8.0)
-    theta = random.uniform(-0.4, 0.4, (30, 2, 3))
+    theta = random.uniform(-0.4, 0.4, (30, 2, 3)) * [[[1], [0]]]
     displacement = np.tensordot(pose_features(theta), truth.pose_basis.astype(float), 1) + random.normal(0, 1e-4, (30, 1, 3))
     sums = PoseSums.of(len(base.vertices))
     sums.add(theta, displacement)
@@ -239,12 +239,12 @@ def test_what_was_not_seen_is_not_learnt_from(base, subjects):
         meshes[:, nape] = one.neutral[nape] + 0.3 * np.random.default_rng(9).normal(size=(len(meshes), 1, 3))
     spoilt = replace(one, pose=pose, expression=expression, seen=~nape)
     masked = replace(one, seen=~nape)
-    settings = PoseTrainingSettings(rounds=2, **ROUGH)
+    settings = PoseTrainingSettings(rounds=1, **ROUGH)
     learnt, wanted = (train_pose(base, [who], settings).basis for who in (spoilt, masked))
-    assert learnt == pytest.approx(wanted, abs=1e-6)
+    assert np.abs(learnt - wanted).max() < 1e-6
     settings = ExpressionTrainingSettings(expressions=5, rounds=1, identities=1, transferred=5)
     learnt, wanted = (train_expressions(base, [who], settings).basis for who in (spoilt, masked))
-    assert learnt == pytest.approx(wanted, abs=1e-6)
+    assert np.abs(learnt - wanted).max() < 1e-6
     with pytest.raises(InputError, match="are seen"):
         train_pose(base, [replace(one, seen=base.regions["face"])])
     with pytest.raises(InputError, match="mask of seen vertices"):

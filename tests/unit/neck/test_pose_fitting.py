@@ -105,7 +105,7 @@ def test_compensated_meshes_and_coefficients_give_the_tracked_meshes_back(person
     found = compensate(person, noisy)
     back = person.rest(found.coefficients) - person.vertices + found.meshes
     again = person.skinned(back, person.joints(), found.theta, found.placement)
-    assert again == pytest.approx(noisy, abs=5e-6)
+    assert np.abs(again - noisy).max() < 5e-6
 
 
 def test_a_frame_that_jumps_and_one_torn_by_outliers_are_found(person, performance, meshes):
@@ -122,7 +122,7 @@ def test_motion_of_the_world_is_motion_of_the_placement_alone(person, meshes):
     here, there = compensate(person, meshes[:4]), compensate(person, (meshes[:4] @ turn.T + shift).astype(np.float32))
     assert there.theta == pytest.approx(here.theta, abs=2e-4)
     assert there.placement[:, :3, :3] == pytest.approx(turn @ here.placement[:, :3, :3], abs=2e-4)
-    assert there.meshes == pytest.approx(here.meshes, abs=2e-5)
+    assert np.abs(there.meshes - here.meshes).max() < 2e-5
 
 
 def test_frames_that_are_not_finite_are_skipped_and_counted(person, performance, meshes):
@@ -142,7 +142,7 @@ def test_blocks_do_not_change_the_result(person, meshes, monkeypatch):
     out = np.empty_like(meshes)
     parts = compensate(person, meshes, out=out)
     assert parts.meshes is out
-    assert out == pytest.approx(whole.meshes, abs=1e-6)
+    assert np.abs(out - whole.meshes).max() < 1e-6
 
 
 class OnDisk:
