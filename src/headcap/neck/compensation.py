@@ -154,12 +154,12 @@ def compensate(
     out = np.empty((f, *model.vertices.shape), model.vertices.dtype) if out is None else out
     theta, placement = np.full((f, 2, 3), np.nan), np.full((f, 4, 4), np.nan)
     psi, done = np.full((f, len(model.expression_basis)), np.nan), np.zeros(f, bool)
-    plain = replace(model, pose_basis=np.zeros_like(model.pose_basis))
+    basis = model.expression_basis.reshape(len(model.expression_basis), model.vertices.size)
     for block in fitter.blocks(meshes):
         theta[block.frames], placement[block.frames] = block.poses.theta, block.poses.placement
         psi[block.frames], done[block.frames] = block.psi, True
-        rest = block.displacement + 2 * model.vertices
-        out[block.frames] = rest - plain.rest(HeadCoefficients(expression=block.psi))
+        shown = (block.psi.astype(basis.dtype) @ basis).reshape(block.displacement.shape)
+        out[block.frames] = model.vertices + block.displacement - shown
     for first in range(0, f, BLOCK):
         missing = first + np.flatnonzero(~done[first : first + BLOCK])
         if len(missing):

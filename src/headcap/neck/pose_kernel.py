@@ -18,71 +18,83 @@ def unposed_residuals(observed, rest, correctives, weights, joints, turns, shift
     jaw exp(d) R. An empty `jacobian` is not filled. Everything is exact, not only near a good fit.
     """
     root, neck, jaw = turns[0], turns[1], turns[2]
-    wanted = len(jacobian) > 0
-    corrected = correctives.shape[1] > 0
-    chin = neck @ jaw
-    features = np.empty(18)
-    for r in range(3):
-        for c in range(3):
-            own = 1.0 if r == c else 0.0
-            features[3 * r + c] = neck[r, c] - own
-            features[9 + 3 * r + c] = jaw[r, c] - own
-    slopes = _feature_slopes(neck, jaw)
-    blend, inverse = np.empty((3, 3)), np.empty((3, 3))
-    q, u, arm, tip, at_jaw, column = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    chin, features = neck @ jaw, _features(neck, jaw)
+    slopes, inverse = _feature_slopes(neck, jaw), np.empty((3, 3))
+    q, u = np.empty(3), np.empty(3)
     for v in range(len(rest)):
-        w_trunk, w_neck, w_jaw = weights[v, 0], weights[v, 1], weights[v, 2]
         for i in range(3):
-            # into the head's frame, then against the bones' blended shift
             q[i] = 0.0
             for j in range(3):
                 q[i] += root[j, i] * (observed[v, j] - shift[j])
-                blend[i, j] = w_neck * neck[i, j] + w_jaw * chin[i, j]
-            blend[i, i] += w_trunk
-        for i in range(3):
-            column[i] = q[i]
-            for j in range(3):
-                column[i] += w_neck * neck[i, j] * joints[0, j] + w_jaw * (
-                    chin[i, j] * joints[1, j] - neck[i, j] * (joints[1, j] - joints[0, j])
-                )
-            column[i] -= (w_neck + w_jaw) * joints[0, i]
-        _invert(blend, inverse)
-        _apply(inverse, column, u)
+        _unskin_one(q, weights[v], neck, chin, joints, inverse, u)
         for i in range(3):
             residual[v, i] = u[i] - rest[v, i]
-        if corrected:
-            for f in range(18):
-                for i in range(3):
-                    residual[v, i] -= features[f] * correctives[v, f, i]
-        if not wanted:
+        for f in range(correctives.shape[1]):
+            for i in range(3):
+                residual[v, i] -= features[f] * correctives[v, f, i]
+        if len(jacobian) == 0:
             continue
-        # arms of the turns: q for the placement, what hangs on the neck, what hangs on the jaw
-        for i in range(3):
-            arm[i], at_jaw[i] = 0.0, 0.0
-            for j in range(3):
-                at_jaw[i] += jaw[i, j] * (u[j] - joints[1, j])
-        for i in range(3):
-            for j in range(3):
-                hanging = w_neck * (u[j] - joints[0, j]) + w_jaw * (at_jaw[j] + joints[1, j] - joints[0, j])
-                arm[i] += neck[i, j] * hanging
-        for axis in range(3):
-            _cross_unit(axis, q, column)
-            _store(inverse, column, jacobian, v, axis)
-            for i in range(3):
-                column[i] = 1.0 if i == axis else 0.0
-            _store(inverse, column, jacobian, v, 3 + axis)
-            _cross_unit(axis, arm, column)
-            _store(inverse, column, jacobian, v, 6 + axis)
-            _cross_unit(axis, at_jaw, tip)
-            for i in range(3):
-                column[i] = w_jaw * (neck[i, 0] * tip[0] + neck[i, 1] * tip[1] + neck[i, 2] * tip[2])
-            _store(inverse, column, jacobian, v, 9 + axis)
-        if corrected:
+        _fill_turns(q, u, weights[v], neck, jaw, joints, inverse, jacobian[3 * v : 3 * v + 3])
+        if correctives.shape[1] > 0:
             for f in range(9):
                 for axis in range(3):
                     for i in range(3):
                         jacobian[3 * v + i, 6 + axis] += slopes[0, axis, f] * correctives[v, f, i]
                         jacobian[3 * v + i, 9 + axis] += slopes[1, axis, f] * correctives[v, 9 + f, i]
+
+
+@njit(cache=True, fastmath=True)
+def _unskin_one(q, weights, neck, chin, joints, inverse, u):
+    """u, which the bones' blend takes to q (both in the head's frame), and the inverse of the blend's 3 x 3 part."""
+    blend, away = np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        away[i] = q[i] - (weights[1] + weights[2]) * joints[0, i]
+        for j in range(3):
+            blend[i, j] = weights[1] * neck[i, j] + weights[2] * chin[i, j]
+            between = joints[1, j] - joints[0, j]
+            away[i] += weights[1] * neck[i, j] * joints[0, j] + weights[2] * (chin[i, j] * joints[1, j] - neck[i, j] * between)
+        blend[i, i] += weights[0]
+    _invert(blend, inverse)
+    _apply(inverse, away, u)
+
+
+@njit(cache=True, fastmath=True)
+def _fill_turns(q, u, weights, neck, jaw, joints, inverse, rows):
+    """Rows (3, 12) of J for one vertex, but for what the pose correctives add."""
+    arm, at_jaw, tip, column = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    # what the turns act on: q for the placement, what hangs on the neck, what hangs on the jaw
+    for i in range(3):
+        at_jaw[i] = 0.0
+        for j in range(3):
+            at_jaw[i] += jaw[i, j] * (u[j] - joints[1, j])
+    for i in range(3):
+        arm[i] = 0.0
+        for j in range(3):
+            hanging = weights[1] * (u[j] - joints[0, j]) + weights[2] * (at_jaw[j] + joints[1, j] - joints[0, j])
+            arm[i] += neck[i, j] * hanging
+    for axis in range(3):
+        _cross_unit(axis, q, column)
+        _store(inverse, column, rows, axis)
+        for i in range(3):
+            column[i] = 1.0 if i == axis else 0.0
+        _store(inverse, column, rows, 3 + axis)
+        _cross_unit(axis, arm, column)
+        _store(inverse, column, rows, 6 + axis)
+        _cross_unit(axis, at_jaw, tip)
+        for i in range(3):
+            column[i] = weights[2] * (neck[i, 0] * tip[0] + neck[i, 1] * tip[1] + neck[i, 2] * tip[2])
+        _store(inverse, column, rows, 9 + axis)
+
+
+@njit(cache=True)
+def _features(neck, jaw):
+    """(18,) R(theta) - I row by row, as `heads.skinning.pose_features`."""
+    out = np.empty(18)
+    for r in range(3):
+        for c in range(3):
+            own = 1.0 if r == c else 0.0
+            out[3 * r + c], out[9 + 3 * r + c] = neck[r, c] - own, jaw[r, c] - own
+    return out
 
 
 @njit(cache=True)
@@ -117,9 +129,9 @@ def _apply(matrix, vector, out):
 
 
 @njit(cache=True, inline="always")
-def _store(inverse, column, jacobian, v, parameter):
+def _store(inverse, column, rows, parameter):
     for i in range(3):
-        jacobian[3 * v + i, parameter] = inverse[i, 0] * column[0] + inverse[i, 1] * column[1] + inverse[i, 2] * column[2]
+        rows[i, parameter] = inverse[i, 0] * column[0] + inverse[i, 1] * column[1] + inverse[i, 2] * column[2]
 
 
 @njit(cache=True, inline="always")

@@ -2,6 +2,9 @@
 
 Poses and correctives are found in turn: poses with the correctives there are, then all correctives at once from what the meshes
 show at rest. These enter only through sums of 18 x 18 and 18 x 3 n numbers, so that memory does not grow with the frames.
+
+The weight of the ridge was chosen on held-out persons of `headcap.synthetic` with a tracker's noise of 0.1 mm, mean error of two
+necks, 1.94 mm without correctives: 1e-5, 3e-5, 1e-4, 3e-4 leave 0.352, 0.354, 0.365, 0.380 mm, noise itself 0.16 mm.
 """
 
 from __future__ import annotations
