@@ -1,8 +1,8 @@
 """Expression bases E from several subjects' expression takes and from random identities (section 5.1; FLAME, section 4.3).
 
-Measured on held-out persons of `headcap.synthetic` with a tracker's noise of 0.1 mm (0.16 mm of mean distance), two persons trained
-on, mean error of two necks, 0.329 mm with generic expressions: 0.204 mm with 1 % of these kept, 0.212 with none, 0.204 with 5 %;
-random identities cost 0.015 mm of this, on persons who differ as little as these do.
+Measured on held-out persons of `headcap.synthetic` with a tracker's noise of 0.1 mm (0.16 mm of mean distance), two persons to
+train on, mean error of two necks, 0.329 mm with generic expressions: 0.204 mm with 1 % of these kept, 0.212 with none, 0.204 with
+5 %; random identities cost 0.015 mm of this, on persons who differ as little as these do.
 """
 
 from __future__ import annotations
