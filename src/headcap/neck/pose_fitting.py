@@ -20,8 +20,10 @@ from headcap.neck.pose_kernel import PARAMETERS, moved, unposed_residuals
 
 _RIGID_SHARE = 0.9
 """A vertex that follows one bone by this share tells where that bone is."""
-_SPEECH_REGIONS = ("larynx", "eyes", "mouth_interior")
+_UNSTEADY = ("larynx", "eyes", "mouth_interior")
 """Where the skin moves by what is neither pose nor expression, or where no camera sees it."""
+_LAST_CHOICE = "front_neck"
+"""Speech stirs it: asked only for a bone that is told by too little else."""
 _LOST_SIGMAS = 5.0
 _FLAT = 1e-5
 """Relative fall of the energy that ends the search: what is left to gain is far below the noise."""
@@ -195,7 +197,7 @@ def telling_vertices(model: HeadModel, per_bone: int, seen: NDArray[np.bool_] | 
             expected=f"({len(model.vertices)},), the vertices of {model.name}",
             remedy="Pass the mask of this model's template.",
         )
-    for name in _SPEECH_REGIONS:
+    for name in _UNSTEADY:
         unsteady = unsteady | model.regions.get(name, False)
     spread = np.sqrt((model.expression_basis.astype(np.float64) ** 2).sum(axis=(0, 2)))
     chosen = [_of_bone(model, bone, unsteady, spread, per_bone) for bone in range(len(JOINTS) + 1)]
@@ -211,6 +213,8 @@ def _of_bone(model: HeadModel, bone: int, unsteady: NDArray, spread: NDArray, co
             expected=f"at least 3 with a skinning weight above {_RIGID_SHARE}",
             remedy="Check the model's skinning weights and the mask of what was seen.",
         )
+    calm = follows[~model.regions[_LAST_CHOICE][follows]] if _LAST_CHOICE in model.regions else follows
+    follows = calm if len(calm) >= count else follows
     steady = follows[np.argsort(spread[follows], kind="stable")[: max(2 * count, len(follows) // 2)]]
     return steady[_spread_out(model.vertices[steady], min(count, len(steady)))]
 
