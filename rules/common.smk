@@ -290,8 +290,18 @@ def session_results(wildcards):
         "clouds": session_clouds(wildcards),
         "starts": [f"{folder}/track/{take}/start.npz" for take in names],
         "sequences": [f"{folder}/track/{take}/sequence.json" for take in names],
-        "necks": [f"{folder}/train_neck/fits.npz"] if speech_takes(wildcards) else [],
+        "necks": trained_necks(wildcards),
     }
+
+
+def trained_necks(wildcards):
+    """What was trained on the takes in which the person speaks."""
+    if not speech_takes(wildcards):
+        return []
+    folder = f"results/{wildcards.session}"
+    without_sound = session_of(wildcards).train_speech is None
+    regressors = [] if without_sound else [f"{folder}/train_speech/regressor.npz"]
+    return [f"{folder}/train_neck/fits.npz", *regressors]
 
 
 def speech_takes(wildcards):
@@ -305,6 +315,18 @@ def speech_sequences(wildcards):
         f"results/{wildcards.session}/track/{take}/sequence.json"
         for take in speech_takes(wildcards)
     ]
+
+
+def speech_ingested(wildcards):
+    """Recordings of the takes in which the person speaks."""
+    folder = f"results/{wildcards.session}/ingest"
+    return [f"{folder}/{take}.json" for take in speech_takes(wildcards)]
+
+
+def speech_offsets(wildcards):
+    """Start times of the takes in which the person speaks."""
+    folder = f"results/{wildcards.session}/sync"
+    return [f"{folder}/{take}.json" for take in speech_takes(wildcards)]
 
 
 def sync_figures(wildcards):

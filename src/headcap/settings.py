@@ -20,6 +20,7 @@ from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.person_training import NeckTrainingSettings
+from headcap.neck.voice_training import VoiceTrainingSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.place import PlaceSettings
@@ -153,6 +154,9 @@ class Session(_Settings):
     place: PlaceSettings = PlaceSettings()
     track: TrackSettings = TrackSettings()
     train_neck: NeckTrainingSettings = NeckTrainingSettings()
+    train_speech: VoiceTrainingSettings | None = Field(
+        default=VoiceTrainingSettings(), description="null: speech takes have no sound, and no regressor is trained."
+    )
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
         default=None, description="Render the recordings first; what the session does not say is then taken from here."

@@ -42,6 +42,12 @@ def test_session_is_planned_with_its_chunks_where_frames_are_given(tmp_path: Pat
     counts = dict(line.split() for line in result.stdout.split("Job stats:")[1].splitlines() if len(line.split()) == 2)
     # twelve frames of each of three takes: chunks of 5, 5, 2 and of 8, 4
     assert (counts["reconstruct"], counts["track"], counts["detect"]) == ("9", "6", "16")
+    assert (counts["train_neck"], counts["train_speech"]) == ("1", "1")
+    (tmp_path / "session.yaml").write_text(f"{session}train_speech: null\n")
+    without = snakemake(tmp_path, "--dry-run", "--configfile", "session.yaml", "--config", f"data_root={test_data / 'ict_rig'}")
+    assert without.returncode == 0, without.stdout + without.stderr
+    assert "train_neck" in without.stdout
+    assert "train_speech" not in without.stdout
 
 
 def test_a_session_that_is_wrong_is_refused_before_any_job(tmp_path: Path) -> None:

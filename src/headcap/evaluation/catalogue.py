@@ -102,6 +102,19 @@ CATALOGUE: dict[str, FigureKind] = {
     "neck.error_mm": _stated("mm", "the same with larynx and speech blendshapes trained on these takes, mean"),
     "neck.speech_error_drop_mm": _stated("mm", "what larynx and speech blendshapes take off that error", at_least=True),
     "neck.slide_range_mm": _stated("mm", "how far the larynx slid, 5th to 95th percentile"),
+    "speech.phi_error": _stated("mm", "weights of the speech blendshapes from sound left out of training, mean length of error"),
+    "speech.phi_error_of_mean": _stated("mm", "the same of predicting the mean of the frames trained on"),
+    "speech.tau_error": _stated("mm2", "slide of the larynx from sound left out of training, mean squared error"),
+    "speech.tau_error_of_mean": _stated("mm2", "the same of predicting the mean of the frames trained on"),
+    "speech.alpha_error": _stated("", "scale of the larynx from sound left out of training, mean squared error"),
+    "speech.alpha_error_of_mean": _stated("", "the same of predicting the mean of the frames trained on"),
+    "speech.shared_sound_share": _stated(
+        "", "frames left out whose 0.52 s of sound frames trained on share: one take cut up; errors are then too small"
+    ),
+    "speech.takes": _stated("", "takes with a voice; of a single one, stretches are left out instead", at_least=True),
+    "speech.frames": _stated("", "fitted frames that the regressors were trained on", at_least=True),
+    "speech.skipped_frames": _stated("", "frames without coefficients, left aside"),
+    "speech.voiced_share": _stated("", "sound that has a pitch; without any, loudness alone drives the larynx", at_least=True),
     "track.flipped_triangles": _stated("", "triangles turned by more than 90 degrees against all around them, worst frame"),
 }
 

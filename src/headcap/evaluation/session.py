@@ -92,6 +92,11 @@ class SessionFolder:
         return self.folder / "train_neck" / "training.png"
 
     @property
+    def speech_figure(self) -> Path:
+        """What the training of the speech regressors drew."""
+        return self.folder / "train_speech" / "prediction.png"
+
+    @property
     def template(self) -> Path:
         """The registered template."""
         return self.folder / "register" / "template.npz"

@@ -89,6 +89,7 @@ def collect_report(
         register=_register(session, described.takes, scan) if session.template.is_file() else None,
         takes=takes,
         neck_figure=_picture(session.neck_figure),
+        speech_figure=_picture(session.speech_figure),
         allowed=described.allowed,
         rehearsed=described.rehearsed,
         manifests=_manifests(folder),

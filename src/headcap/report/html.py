@@ -91,7 +91,10 @@ class _Row:
 
 def _rows(inputs: ReportInputs) -> list[_Row]:
     """Rows of the table, in the order of the stages and the catalogue."""
-    stages, names = ("rig", "ingest", "sync", "calibrate", "reconstruct", "register", "place", "track", "neck"), list(CATALOGUE)
+    stages, names = (
+        ("rig", "ingest", "sync", "calibrate", "reconstruct", "register", "place", "track", "neck", "speech"),
+        list(CATALOGUE),
+    )
     place = lambda options, key: options.index(key) if key in options else len(options)  # noqa: E731
     takes = [take.take for take in inputs.takes]
     ordered = sorted(
@@ -258,10 +261,11 @@ def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], l
 
 
 def _neck(inputs: ReportInputs) -> list[_Shown]:
-    if inputs.neck_figure is None:
-        return []
-    caption = "training of the neck model, and its coefficients over the speech takes"
-    return [_Shown(png_uri(inputs.neck_figure, 256), caption, wide=True)]
+    drawn = (
+        (inputs.neck_figure, "training of the neck model, and its coefficients over the speech takes"),
+        (inputs.speech_figure, "the coefficients fitted, and predicted from sound that was left out of training"),
+    )
+    return [_Shown(png_uri(image, 256), caption, wide=True) for image, caption in drawn if image is not None]
 
 
 def _limits(inputs: ReportInputs, stage: str) -> dict[str, float | None]:

@@ -111,6 +111,8 @@ class ReportInputs:
     takes: tuple[TakeReport, ...] = ()
     neck_figure: NDArray[np.uint8] | None = None
     """(height, width, 3) RGB: what the training of the neck model drew."""
+    speech_figure: NDArray[np.uint8] | None = None
+    """(height, width, 3) RGB: what the training of the speech regressors drew."""
     allowed: tuple[str, ...] = ()
     """Gates the session waives by name."""
     rehearsed: bool = False

@@ -83,7 +83,7 @@ def train_speech_regressor(
     """
     settings = settings or RidgeSettings()
     speech, larynx, voiced, settings_seen = [], [], [], []
-    for take in _several(takes, settings.parts_of_one_take):
+    for take in takes_or_stretches(takes, settings.parts_of_one_take):
         settings_seen.append(take.features.settings)
         voiced.append((take.features.voiced_share, len(take.features)))
         speech.append(_moments(take, take.coefficients.phi, SpeechFeatures.filter_windows, feature_set, settings))
@@ -142,8 +142,11 @@ def _table_2(differences: NDArray, phi: int) -> dict[str, float]:
     return found | {name: float(value) for name, value in zip(("tau", "alpha"), squares, strict=False)}
 
 
-def _several(takes: Iterable[SpeechTake], parts: int) -> Iterator[SpeechTake]:
-    """The takes, or stretches of the only one."""
+def takes_or_stretches(takes: Iterable[SpeechTake], parts: int) -> Iterator[SpeechTake]:
+    """The takes, or `parts` stretches of the only one with equally many fitted frames.
+
+    Raises `InputError` for no take, or one of fewer fitted frames than parts.
+    """
     takes = iter(takes)
     begin = list(islice(takes, 2))
     if not begin:

@@ -9,7 +9,9 @@ from headcap.heads import HeadModel, procedural_model
 from headcap.neck import (
     LarynxMap,
     NeckChart,
+    NeckModel,
     NeckPerson,
+    SpeechFit,
     SpeechSubject,
     SpeechTraining,
     SpeechTrainingSettings,
@@ -18,6 +20,13 @@ from headcap.neck import (
     train_speech,
 )
 from headcap.neck.base_shape import Throat, bare_base
+from headcap.neck.fits import NeckFits, TakeFit
+from headcap.neck.voice_training import VoiceTraining, train_voice
+from headcap.speech import RATE_HZ
+from headcap.speech.take_sound import TakeSound
+from headcap.sync.offsets import TimeOffsets
+from headcap.synthetic.articulation import speak as speak_tracks
+from headcap.synthetic.voice import synthesise
 
 
 def bump_m(uv_m: np.ndarray) -> np.ndarray:
@@ -96,3 +105,47 @@ def trained(model, chart, spoken) -> SpeechTraining:
     subjects = [replace(one.subject, meshes=one.subject.meshes[:200]) for one in spoken]
     empty = larynx_map(model, chart, np.array([0.0, 0.0, 1.0]))
     return train_speech(model, empty, subjects, SpeechTrainingSettings(iterations=4, reduced=24))
+
+
+FPS = 30.0
+TAKE_S = 8.0
+
+
+def heard_take(name: str, seed: int, larynx_noise: float = 0.05) -> tuple[TakeFit, TakeSound]:
+    """Eight seconds of a synthetic voice, and what its tracks drive: tau by pitch, alpha by tau, phi by formants."""
+    rng = np.random.default_rng(seed)
+    tracks = speak_tracks(np.random.default_rng(seed), TAKE_S, pitch_hz=120.0)
+    samples = synthesise(tracks, rng, np.arange(round(TAKE_S * RATE_HZ)) / RATE_HZ, RATE_HZ).astype(np.float32)
+    time_s = np.arange(round(FPS * TAKE_S)) / FPS
+    pitch, voicing, f1, f2, f3 = tracks.at(time_s, "pitch_hz", "voicing", "f1_hz", "f2_hz", "f3_hz").T
+    tau = np.clip(voicing, 0, 1) * 0.02 * np.log(np.maximum(pitch, 80.0) / 120.0) + 0.002 * np.clip(voicing, 0, 1)
+    tau += larynx_noise * np.std(tau) * rng.normal(size=len(tau))
+    phi = 1e-2 * np.column_stack([(f1 - 500) / 300, (f2 - 1500) / 500, (f3 - 2500) / 300])
+    speech = SpeechFit(tau, 1.0 - 12.0 * tau, phi)
+    still = np.broadcast_to(np.eye(4), (len(time_s), 4, 4))
+    errors = np.zeros(len(time_s))
+    fit = TakeFit(name, time_s, speech, np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 0)), still, errors, errors)
+    offsets = TimeOffsets(name, ("cam",), (0.0,), (0.0,), (1.0,), ("clap",))
+    return fit, TakeSound(name, "cam", samples, 0.0, 30.0, offsets)
+
+
+@pytest.fixture(scope="session")
+def neck(model, larynx) -> NeckModel:
+    """A model of three speech blendshapes and one person, somebody."""
+    base = np.array(model.vertices)
+    base[larynx.vertices] = bare_base(Throat.of(base, model.triangles, larynx))
+    head = replace(model, speech_basis=smooth_motions(model, larynx)[:3]).astype(np.float32)
+    return NeckModel(head, (NeckPerson("somebody", base, larynx),))
+
+
+@pytest.fixture(scope="session")
+def heard() -> tuple[tuple[TakeFit, TakeSound], ...]:
+    """Three takes to learn from and one to try."""
+    return tuple(heard_take(f"talk_{seed}", seed) for seed in (1, 2, 3, 4))
+
+
+@pytest.fixture(scope="session")
+def voice_training(neck, heard) -> VoiceTraining:
+    """Of the first three takes."""
+    fits = NeckFits("somebody", tuple(fit for fit, _ in heard[:3]))
+    return train_voice(neck, fits, {fit.take: sound for fit, sound in heard[:3]})

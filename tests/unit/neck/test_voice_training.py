@@ -1,0 +1,110 @@
+"""Regressors of one person: errors of what was left out, short takes, and clear refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from headcap.errors import InputError
+from headcap.neck.fits import NeckFits, TakeFit
+from headcap.neck.speech_fitting import SpeechFit
+from headcap.neck.voice_figure import save_voice_figure
+from headcap.neck.voice_training import VoiceTrainingSettings, train_voice
+from headcap.speech import SpeechCoefficients, SpeechRegressor
+
+
+def _cut(take: TakeFit, frames: int) -> TakeFit:
+    arrays = {name: getattr(take, name)[:frames] for name in ("time_s", "theta", "psi", "placement", "base_error_mm", "error_mm")}
+    return replace(take, speech=take.speech.frames(slice(0, frames)), **arrays)
+
+
+def test_left_out_takes_are_predicted_better_than_by_the_mean(voice_training):
+    errors = voice_training.errors
+    assert errors.phi < 0.8 * errors.phi_of_mean
+    assert errors.tau < 0.8 * errors.tau_of_mean
+    assert errors.alpha < 0.8 * errors.alpha_of_mean
+    assert voice_training.shared_sound == 0
+
+
+def test_figures_are_those_of_the_predictions_drawn(voice_training):
+    """Table 2 by hand from the curves, in millimetres."""
+    takes, figures = voice_training.predictions, voice_training.figures()
+    away = np.concatenate([take.predicted.phi - take.fitted.phi for take in takes])
+    assert figures["speech.phi_error"] == pytest.approx(1e3 * np.linalg.norm(away, axis=1).mean())
+    slide = np.concatenate([take.predicted.tau - take.fitted.tau for take in takes])
+    assert figures["speech.tau_error"] == pytest.approx(1e6 * (slide**2).mean())
+    assert figures["speech.frames"] == sum(len(take.time_s) for take in takes)
+    assert figures["speech.takes"] == 3
+
+
+def test_the_regressor_belongs_to_the_model_and_drives_all(voice_training, neck, heard, tmp_path):
+    voice_training.regressor.save(tmp_path / "regressor.npz")
+    read = SpeechRegressor.load(tmp_path / "regressor.npz", neck.version)
+    assert read.group == "somebody"
+    fit, sound = heard[3]
+    found = read.coefficients(sound.features(fit.time_s), neck.version)
+    for name, truth in (("tau", fit.speech.tau_m), ("alpha", fit.speech.alpha)):
+        assert np.mean((getattr(found, name) - truth) ** 2) < 0.8 * np.var(truth)
+
+
+@pytest.mark.parametrize("frames", [72, 12])
+def test_one_short_take_is_enough_and_says_how_little_it_shows(neck, heard, frames):
+    fit, sound = heard[0]
+    found = train_voice(neck, NeckFits("somebody", (_cut(fit, frames),)), {fit.take: sound})
+    figures = found.figures()
+    assert figures["speech.takes"] == 1
+    assert figures["speech.frames"] == frames
+    # of five stretches of 72 frames at 30 per second, all but a few frames of each lie within 0.52 s of another stretch
+    assert figures["speech.shared_sound_share"] > 0.9
+    assert np.isfinite(list(figures.values())).all()
+    assert len(found.predictions[0].predicted.tau) == frames
+
+
+def test_long_stretches_share_little_sound(neck, heard):
+    """Five stretches of 48 frames, 1.6 s: windows of 0.52 s, 15.6 frames, reach over a border from 15 frames on each side."""
+    fit, sound = heard[0]
+    found = train_voice(neck, NeckFits("somebody", (fit,)), {fit.take: sound})
+    assert found.shared_sound == pytest.approx(8 * 15 / 240)
+
+
+def test_frames_that_were_not_fitted_are_skipped_and_counted(neck, heard):
+    fit, sound = heard[0]
+    gone = np.arange(len(fit.time_s)) % 10 == 3
+    speech = SpeechFit(*(np.where(gone.reshape(-1, *[1] * (a.ndim - 1)), np.nan, a) for a in vars(fit.speech).values()))
+    found = train_voice(neck, NeckFits("somebody", (replace(fit, speech=speech),)), {fit.take: sound})
+    figures = found.figures()
+    assert (figures["speech.frames"], figures["speech.skipped_frames"]) == (216, 24)
+    assert np.isfinite(found.predictions[0].predicted.tau).all()
+
+
+def test_a_voiceless_take_still_trains(neck, heard, rng):
+    """Whispering: noise whose loudness goes with the slide; no pitch anywhere."""
+    fit, sound = heard[0]
+    loud = np.interp(np.arange(len(sound.samples)) / 16000, fit.time_s, fit.speech.tau_m - fit.speech.tau_m.min())
+    whisper = replace(sound, samples=(3 * loud * rng.normal(size=len(loud))).astype(np.float32))
+    found = train_voice(neck, NeckFits("somebody", (fit,)), {fit.take: whisper})
+    assert found.figures()["speech.voiced_share"] < 0.05
+    assert np.isfinite(found.predictions[0].predicted.tau).all()
+
+
+def test_what_cannot_be_trained_is_refused(neck, heard):
+    fit, sound = heard[0]
+    with pytest.raises(InputError, match="no sound of talk_1"):
+        train_voice(neck, NeckFits("somebody", (fit,)), {})
+    with pytest.raises(InputError, match="4 fitted frames and no other take"):
+        train_voice(neck, NeckFits("somebody", (_cut(fit, 4),)), {fit.take: sound})
+    with pytest.raises(InputError, match=r"talk_1, cam: .* of sound"):
+        train_voice(neck, NeckFits("somebody", (fit,)), {fit.take: replace(sound, samples=sound.samples[:1000])})
+
+
+def test_the_picture_is_drawn(voice_training, tmp_path):
+    save_voice_figure(tmp_path / "prediction.png", voice_training)
+    assert (tmp_path / "prediction.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_papers_features_may_be_chosen(neck, heard):
+    fits = NeckFits("somebody", tuple(_cut(fit, 60) for fit, _ in heard[:3]))
+    settings = VoiceTrainingSettings(feature_set="paper", ridge={"least": 0.01, "most": 1.0, "per_decade": 1})
+    found = train_voice(neck, fits, {fit.take: sound for fit, sound in heard[:3]}, settings)
+    assert found.regressor.speech.weights.shape[0] == 2048
+    assert isinstance(found.predictions[0].predicted, SpeechCoefficients)
