@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import headcap
@@ -61,12 +61,54 @@ def _parser() -> argparse.ArgumentParser:
     )
     export.add_argument("--template", type=Path, help="template or start.npz whose triangles a sequence has")
 
+    _add_neck_commands(add)
+
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
     schema.add_argument("--folder", type=Path, default=Path("config/schema"))
     mode = schema.add_mutually_exclusive_group(required=True)
     mode.add_argument("--write", action="store_true", help="write them")
     mode.add_argument("--check", action="store_true", help="exit with 1 where they are not in step with the settings")
     return parser
+
+
+def _add_neck_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
+    """`animate` and `edit`."""
+    animate = add("animate", _animate, "Meshes of a person's head and neck from a voice, from coefficient curves, or from both.")
+    animate.add_argument("model", type=Path, help="model.npz of a trained neck")
+    animate.add_argument("regressor", type=Path, nargs="?", help="regressor.npz of the same model")
+    animate.add_argument("sound", type=Path, nargs="?", help="WAV or any file with sound")
+    animate.add_argument("--person", required=True, help="whose head, of those the model knows")
+    animate.add_argument("--fps", type=float, default=60.0, help="frames per second that a sound is animated at (default: 60)")
+    animate.add_argument("--curves", type=Path, help="curves of pose and expression; what they hold goes before the sound")
+    animate.add_argument("--out", type=Path, required=True, help="sequence .json, or file or folder of the format")
+    animate.add_argument("--format", default="sequence", help="sequence (default), npz, pc2, obj or glb")
+
+    edit = add("edit", _edit, "Scale, offset, exaggerate, key, cut and add coefficient curves, in the order written.")
+    edit.add_argument("source", help="curves .json, fits.npz of a trained neck, or the word swallow for the ready curve")
+    edit.add_argument("--out", type=Path, required=True, help="curves .json to write")
+    edit.add_argument("--take", help="which take of fits.npz")
+    edit.add_argument("--model", type=Path, help="model of fits.npz, where it is not model.npz beside it")
+    edit.add_argument("--fps", type=float, default=60.0, help="frames per second of the ready swallow (default: 60)")
+    for name, form, help_text in _EDITS:
+        edit.add_argument(f"--{name}", dest="operations", metavar=form, action=_InOrder, default=[], help=help_text)
+
+
+_EDITS = (
+    ("scale", "CURVE=FACTOR", "tau, alpha, phi, psi, neck or jaw; one component as phi.3, neck.x"),
+    ("offset", "CURVE=AMOUNT", "tau in mm, neck and jaw in degrees"),
+    ("exaggerate", "CURVE=FACTOR", "about the curve's mean"),
+    ("key", "CURVE@SECONDS=VALUE", "bend a curve through a value; keys in a row bend it together"),
+    ("cut", "FROM:TO", "seconds, or the word swallow for the highest rise of the larynx"),
+    ("add", "FILE@SECONDS", "lay other curves' motion on, or the word swallow"),
+    ("subtract", "FILE@SECONDS", "take it off again"),
+)
+
+
+class _InOrder(argparse.Action):
+    """Collects (option, text) of all edits in the order in which they are written."""
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        setattr(namespace, self.dest, [*getattr(namespace, self.dest), (option_string.lstrip("-"), values)])
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -123,6 +165,31 @@ def _export(options: argparse.Namespace) -> int:
 
     written = convert(options.source, options.target, options.format, template=options.template)
     print(f"wrote {written}")
+    return 0
+
+
+def _animate(options: argparse.Namespace) -> int:
+    from headcap.workflow.animate import AnimationRequest, animate
+
+    request = AnimationRequest(
+        model=options.model,
+        person=options.person,
+        regressor=options.regressor,
+        sound=options.sound,
+        fps=options.fps,
+        curves=options.curves,
+        form=options.format,
+    )
+    for path in animate(request, options.out):
+        print(f"wrote {path}")
+    return 0
+
+
+def _edit(options: argparse.Namespace) -> int:
+    from headcap.workflow.edit import edit
+
+    curves = edit(options.source, options.operations, options.out, take=options.take, model=options.model, fps=options.fps)
+    print(f"wrote {options.out}: {len(curves)} frames of {', '.join(curves.channels)}")
     return 0
 
 

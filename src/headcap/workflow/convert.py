@@ -13,7 +13,8 @@ from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 
 SEQUENCE_FORMATS = ("npz", "pc2", "obj", "glb")
-
+TEMPLATE_SUFFIX = ".template.npz"
+"""Of the topology that an animation writes beside its sequence."""
 
 RIG_FORMATS = tuple(WRITERS)
 
@@ -22,7 +23,8 @@ def convert(source: Path, target: Path, form: str, *, template: Path | None = No
     """Write a rig or a mesh sequence to `target` in a format by name; returns `target`.
 
     obj and glb are one file per frame in the folder `target`. `template` gives the topology of a sequence; by default
-    the start.npz beside it. Raises `InputError` for an unknown format.
+    the one written beside it (`<sequence>.template.npz`, `start.npz` of a tracked take). Raises `InputError` for an unknown
+    format.
     """
     if form in RIG_FORMATS:
         write_rig(CalibrationResult.load(source).rig, target, form)
@@ -44,7 +46,8 @@ def convert(source: Path, target: Path, form: str, *, template: Path | None = No
 
 
 def _template_of(sequence: Path, template: Path | None) -> Template:
-    path = template or sequence.with_name("start.npz")
+    beside = sequence.with_suffix(TEMPLATE_SUFFIX)
+    path = template or (beside if beside.is_file() else sequence.with_name("start.npz"))
     if not path.is_file():
         raise ArtifactError(f"{path} is not there; name the template of {sequence} with --template")
     return Template.load(path)
