@@ -34,6 +34,8 @@ def run(
     for sound in sounds.values():
         PROGRESS.info("train_speech: %s by %s, %.0f dB over its pauses", sound.take, sound.camera, sound.clarity_db)
     training = train_voice(neck, fitted, sounds, settings)
+    for remark in training.remarks():
+        PROGRESS.info("train_speech: %s", remark)
     save_voice_figure(figure, training)
     training.regressor.save(regressor)
     write_manifest(

@@ -19,16 +19,13 @@ def save_voice_figure(path: Path | str, training: VoiceTraining) -> None:
     from matplotlib.figure import Figure
 
     takes = training.predictions
-    figure = Figure(figsize=(14, 0.6 + 2.4 * len(takes)), layout="constrained", dpi=100)
+    figure = Figure(figsize=(14, 1.0 + 2.4 * len(takes)), layout="constrained", dpi=100)
     FigureCanvasAgg(figure)
     columns = 2 + min(SHOWN_WEIGHTS, takes[0].fitted.phi.shape[1])
     for row, take in zip(figure.subplots(len(takes), columns, squeeze=False), takes, strict=True):
         _draw_take(row, take)
-    figure.suptitle(
-        f"grey: fitted, green: predicted from sound by regressors that left the frame's take or stretch out; "
-        f"{100 * training.shared_sound:.0f} % of these frames share sound with frames trained on",
-        fontsize=10,
-    )
+    told = ["grey: fitted, green: predicted from sound by regressors that left the frame's take or stretch out"]
+    figure.suptitle("\n".join([*told, *training.remarks()]), fontsize=10)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
 

@@ -30,6 +30,8 @@ from headcap.speech.training import takes_or_stretches
 
 LEAST_PARTS = 3
 """Takes or stretches: one is left out for the errors, one of the others in turn for the penalties."""
+TELLING_SHARE = 0.2
+"""Share of frames left out that share sound with the training up to which their errors tell of other sound."""
 WINDOW_S = CONTEXT_SAMPLES / RATE_HZ
 """Sound that one visual frame hears."""
 
@@ -71,6 +73,19 @@ class VoiceTraining:
     """Share of the frames left out whose window of 520 ms overlaps that of a frame trained on: 0 where takes are left out, and
     up to 1 where a single short take is cut into stretches. Errors of such frames are too small for what a new take will show."""
     predictions: tuple[TakePrediction, ...]
+
+    def remarks(self) -> list[str]:
+        """What these errors cannot tell, and what was not learnt; empty where there is nothing to say."""
+        told, errors = [], self.errors
+        if self.shared_sound > TELLING_SHARE:
+            told.append(
+                f"{100 * self.shared_sound:.0f} % of the frames left out hear sound that was trained on:"
+                " how another take would be predicted is not known"
+            )
+        missed = [name for name in ("phi", "tau", "alpha") if getattr(errors, name) >= getattr(errors, f"{name}_of_mean")]
+        if missed:
+            told.append(f"{' and '.join(missed)} no better than by the mean: more speech is needed, or sound does not tell")
+        return told
 
     def figures(self) -> dict[str, float]:
         """Table 2's errors (phi in mm, tau in square mm) beside predicting the mean, and what they rest on."""

@@ -24,6 +24,7 @@ def test_left_out_takes_are_predicted_better_than_by_the_mean(voice_training):
     assert errors.tau < 0.8 * errors.tau_of_mean
     assert errors.alpha < 0.8 * errors.alpha_of_mean
     assert voice_training.shared_sound == 0
+    assert voice_training.remarks() == []
 
 
 def test_figures_are_those_of_the_predictions_drawn(voice_training):
@@ -58,6 +59,16 @@ def test_one_short_take_is_enough_and_says_how_little_it_shows(neck, heard, fram
     assert figures["speech.shared_sound_share"] > 0.9
     assert np.isfinite(list(figures.values())).all()
     assert len(found.predictions[0].predicted.tau) == frames
+    assert "how another take would be predicted is not known" in found.remarks()[0]
+
+
+def test_what_sound_does_not_tell_is_told(neck, heard, rng):
+    """A slide that has nothing to do with the voice."""
+    fits = [replace(fit, speech=replace(fit.speech, tau_m=0.003 * rng.normal(size=len(fit.time_s)))) for fit, _ in heard[:3]]
+    found = train_voice(neck, NeckFits("somebody", tuple(fits)), {fit.take: sound for fit, sound in heard[:3]})
+    assert found.errors.tau == pytest.approx(found.errors.tau_of_mean, rel=0.1)
+    worse = replace(found, errors=replace(found.errors, tau=2 * found.errors.tau_of_mean))
+    assert "tau no better than by the mean" in worse.remarks()[0]
 
 
 def test_long_stretches_share_little_sound(neck, heard):
