@@ -4,8 +4,10 @@ import logging
 from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
+from headcap.calibration.result import CalibrationResult
 from headcap.neck.figure import save_neck_figure
 from headcap.neck.person_training import NeckTrainingSettings, train_person
+from headcap.registration.render import in_view
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 
@@ -15,6 +17,7 @@ PROGRESS = logging.getLogger("headcap.progress")
 def run(
     *,
     template: Path,
+    rig: Path,
     sequences: list[Path],
     model: Path,
     fits: Path,
@@ -24,7 +27,11 @@ def run(
 ) -> None:
     loaded = {sequence.take: sequence for sequence in map(MeshSequence.load, sequences)}
     PROGRESS.info("train_neck: %d frames of %s", sum(map(len, loaded.values())), ", ".join(loaded))
-    training, fitted = train_person(person, Template.load(template), loaded, settings)
+    neutral = Template.load(template)
+    # the template lies where the scan was: the cameras look at it where the first take begins
+    first = next(iter(loaded.values())).positions()[0].astype(float)
+    seen = in_view(CalibrationResult.load(rig).rig, first, neutral.triangles)
+    training, fitted = train_person(person, neutral, loaded, settings, seen=seen)
     save_neck_figure(figure, training, fitted)
     fitted.save(fits)
     training.model.save(model)
@@ -34,7 +41,7 @@ def run(
             kind=kind,
             stage="train_neck",
             settings_digest=digest_settings(settings=settings),
-            inputs=[template, *sequences],
+            inputs=[template, rig, *sequences],
             figures=figures,
         )
 

@@ -2,6 +2,7 @@
 The person's neck model, from tracked takes in which the person speaks.
 
 INPUTS:   template  = results/{session}/register/template.npz
+          rig       = results/{session}/calibrate/rig.json, which tells what cameras saw
           sequences = results/{session}/track/{take}/sequence.json of the takes of kind speech
 OUTPUTS:  model  = results/{session}/train_neck/model.npz, speech blendshapes and the person's larynx
           fits   = results/{session}/train_neck/fits.npz, coefficients of every frame
@@ -13,6 +14,7 @@ rule train_neck:
     """Larynx and speech blendshapes of the session's person."""
     input:
         template="results/{session}/register/template.npz",
+        rig="results/{session}/calibrate/rig.json",
         sequences=speech_sequences,
     output:
         model="results/{session}/train_neck/model.npz",

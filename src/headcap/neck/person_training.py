@@ -42,11 +42,13 @@ def train_person(
     takes: Mapping[str, MeshSequence],
     settings: NeckTrainingSettings | None = None,
     *,
+    seen: NDArray[np.bool_] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[SpeechTraining, NeckFits]:
     """Neck model and fitted coefficients of one person from their speech takes, by name.
 
-    `template` is the person's neutral head in the topology of the base head, metres, in any frame. Fewer frames than Algorithm 1
+    `template` is the person's neutral head in the topology of the base head, metres, in any frame. `seen` (n,) marks vertices
+    that cameras saw: a tracker makes up the others, and they tell no pose. Fewer frames than Algorithm 1
     needs for all its blendshapes train fewer. Raises `InputError` for no takes, too few frames, or another topology.
     """
     settings = settings or NeckTrainingSettings()
@@ -55,7 +57,7 @@ def train_person(
             "no speech take", expected="one at least", remedy="Record speech; its kind in the session file is speech."
         )
     model = person_model(template, settings.expressions)
-    rests = {take: compensate(model, sequence.positions(), settings.fit) for take, sequence in takes.items()}
+    rests = {take: compensate(model, sequence.positions(), settings.fit, seen=seen) for take, sequence in takes.items()}
     meshes = np.concatenate([rest.meshes for rest in rests.values()])
     empty = larynx_map(model, build_chart(model), FORWARD, settings.larynx)
     subject = SpeechSubject(name, np.asarray(model.vertices, float), meshes)
