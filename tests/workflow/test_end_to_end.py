@@ -22,7 +22,7 @@ SESSION = {
         "video": {"width": 216, "height": 384, "rate_hz": 15},
         "board": {"duration_s": 5.0, "hold_s": 0.2, "move_s": 0.1, "spread_m": [0.03, 0.03, 0.03], "tilt_deg": 24},
         "scan": {"triangles": 40000},
-        "takes": [{"name": "speech_01", "kind": "speech", "duration_s": 0.46}],
+        "takes": [{"name": "speech_01", "kind": "speech", "duration_s": 0.6}],
     },
     "frames_per_job": {"reconstruct": 3, "track": 3},
     # five small cameras and a short board recording: what counts here is that all stages go together

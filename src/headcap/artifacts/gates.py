@@ -5,7 +5,10 @@ from dataclasses import dataclass
 from headcap.errors import GateFailure
 
 # figures of which more is better; of all others, less is
-_MINIMA = ("within_", "coverage", "poses", "points", "confidence", "completeness", "share")
+_MINIMA = (
+    "within_", "coverage", "poses", "points", "confidence", "completeness", "share_",
+    "larynx_correlation", "speech_error_drop", "takes", "frames", "voiced_share",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
