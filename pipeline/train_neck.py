@@ -7,7 +7,6 @@ from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.result import CalibrationResult
 from headcap.neck.figure import save_neck_figure
 from headcap.neck.person_training import NeckTrainingSettings, train_person
-from headcap.registration.render import in_view
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 
@@ -28,10 +27,7 @@ def run(
     loaded = {sequence.take: sequence for sequence in map(MeshSequence.load, sequences)}
     PROGRESS.info("train_neck: %d frames of %s", sum(map(len, loaded.values())), ", ".join(loaded))
     neutral = Template.load(template)
-    # the template lies where the scan was: the cameras look at it where the first take begins
-    first = next(iter(loaded.values())).positions()[0].astype(float)
-    seen = in_view(CalibrationResult.load(rig).rig, first, neutral.triangles)
-    training, fitted = train_person(person, neutral, loaded, settings, seen=seen)
+    training, fitted = train_person(person, neutral, loaded, settings, rig=CalibrationResult.load(rig).rig)
     save_neck_figure(figure, training, fitted)
     fitted.save(fits)
     training.model.save(model)

@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 
 from headcap.cameras import Rig
 from headcap.evaluation.settings import EvaluateSettings
-from headcap.evaluation.visibility import count_cameras
 from headcap.meshes.closest_point import Surface
 from headcap.meshes.normals import triangle_normals
+from headcap.meshes.visibility import count_cameras
 
 
 @dataclass(frozen=True)

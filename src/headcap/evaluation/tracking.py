@@ -13,10 +13,10 @@ from headcap.cameras import Rig
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.ties import Ties, at_border, tie
 from headcap.evaluation.truth import Truth
-from headcap.evaluation.visibility import count_cameras
 from headcap.geometry.transforms import transform
 from headcap.meshes.closest_point import Surface
 from headcap.meshes.normals import vertex_normals
+from headcap.meshes.visibility import count_cameras
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.errors import InputError
 from headcap.heads.anatomy import find_anatomy, profile_landmarks
+from headcap.heads.archive import read_npz
 from headcap.heads.model import POSE_FEATURES, HeadModel
 from headcap.heads.refinement import WANTED_VERTICES, refine_front
 from headcap.heads.rigging import joint_regressor
@@ -78,13 +79,7 @@ def _read(path: Path) -> dict[str, NDArray]:
         raise InputError(f"no file {path}", expected="a FLAME file", remedy="FLAME is licensed: download it from its site.")
     if path.suffix != ".npz":
         return load_pickled_arrays(path)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except Exception as error:
-        raise InputError(
-            f"{path.name} cannot be read ({error})", expected="an npz of plain arrays", remedy="Export it without objects."
-        ) from error
+    return read_npz(path, expected="an npz of plain arrays", remedy="Export it without objects.")
 
 
 def _check(arrays: dict[str, NDArray], path: Path, settings: FlameSettings) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from headcap.errors import InputError
 from headcap.heads import rigging
 from headcap.heads.anatomy import find_anatomy
+from headcap.heads.archive import read_npz
 from headcap.heads.model import POSE_FEATURES, HeadModel
 from headcap.heads.refinement import WANTED_VERTICES, refine_front
 
@@ -57,11 +58,7 @@ def load_ict(path: Path | str, wanted_vertices: int = WANTED_VERTICES) -> HeadMo
 def _read(path: Path) -> dict[str, NDArray]:
     if not path.is_file():
         raise InputError(f"no file {path}", expected=f"an ICT-FaceKit head, {FILE}", remedy="Give its folder or the file.")
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except Exception as error:
-        raise InputError(f"{path.name} cannot be read ({error})", expected="a whole npz", remedy="Copy it again.") from error
+    arrays = read_npz(path, expected="a whole npz", remedy="Copy it again.")
     missing = [key for key in _KEYS if key not in arrays]
     if missing:
         raise InputError(f"{path.name} lacks {', '.join(missing)}", expected="an ICT-FaceKit head", remedy="Export it whole.")

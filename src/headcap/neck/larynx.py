@@ -247,6 +247,7 @@ def _second_differences(shape: tuple[int, int]) -> sparse.csr_array:
     """(pixels, pixels) thin-plate bending of an image: squares of its second differences along, across and mixed."""
 
     def chain(n: int, order: int) -> sparse.csr_array:
+        """Differences of an order along a chain of n pixels."""
         stencil = {0: [1.0], 1: [-1.0, 1.0], 2: [1.0, -2.0, 1.0]}[order]
         return sparse.diags_array(stencil, offsets=range(order + 1), shape=(n - order, n)).tocsr()
 

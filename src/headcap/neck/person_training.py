@@ -8,19 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from headcap.cameras import Rig
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_rigid, transform
-from headcap.heads import HeadModel, procedural_model
+from headcap.heads import HeadCoefficients, HeadModel, procedural_model
+from headcap.meshes.normals import vertex_normals
+from headcap.meshes.visibility import count_cameras
 from headcap.neck.chart import build_chart
-from headcap.neck.compensation import Compensation, FitSettings, compensate, without_expressions
+from headcap.neck.compensation import BLOCK, Compensation, FitSettings, compensate, without_expressions
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.larynx import LarynxMap, LarynxSettings, larynx_map
+from headcap.neck.larynx import LarynxSettings, larynx_map
 from headcap.neck.model import NeckPerson
-from headcap.neck.speech_fitting import SpeechFit
+from headcap.neck.speech_basis import in_blocks
+from headcap.neck.speech_fitting import SpeechFit, spread
 from headcap.neck.speech_training import SpeechSubject, SpeechTraining, SpeechTrainingSettings, train_speech
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 
+LEAST_CAMERAS, MOST_ANGLE_DEG = 2, 75.0
+"""What so many cameras see, no more obliquely than this, was tracked and not made up."""
 FORWARD = np.array([0.0, 0.0, 1.0])
 """Direction of an empty larynx map: eq. 9 replaces it."""
 
@@ -42,14 +48,14 @@ def train_person(
     takes: Mapping[str, MeshSequence],
     settings: NeckTrainingSettings | None = None,
     *,
-    seen: NDArray[np.bool_] | None = None,
+    rig: Rig | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[SpeechTraining, NeckFits]:
     """Neck model and fitted coefficients of one person from their speech takes, by name.
 
-    `template` is the person's neutral head in the topology of the base head, metres, in any frame. `seen` (n,) marks vertices
-    that cameras saw: a tracker makes up the others, and they tell no pose. Fewer frames than Algorithm 1
-    needs for all its blendshapes train fewer. Raises `InputError` for no takes, too few frames, or another topology.
+    `template` is the person's neutral head in the topology of the base head, metres, in any frame. What the cameras of `rig` do
+    not see tells no pose: a tracker makes it up. Fewer frames than Algorithm 1 needs for all its blendshapes train fewer. Raises
+    `InputError` for no takes, too few frames, or another topology.
     """
     settings = settings or NeckTrainingSettings()
     if not takes:
@@ -57,6 +63,7 @@ def train_person(
             "no speech take", expected="one at least", remedy="Record speech; its kind in the session file is speech."
         )
     model = person_model(template, settings.expressions)
+    seen = None if rig is None else seen_vertices(rig, next(iter(takes.values())), template.triangles)
     rests = {take: compensate(model, sequence.positions(), settings.fit, seen=seen) for take, sequence in takes.items()}
     meshes = np.concatenate([rest.meshes for rest in rests.values()])
     empty = larynx_map(model, build_chart(model), FORWARD, settings.larynx)
@@ -78,6 +85,13 @@ def person_model(template: Template, expressions: int) -> HeadModel:
     steady = model.regions["scalp"] | model.regions["ears"]
     head_from_world = fit_rigid(template.vertices[steady], np.asarray(model.vertices, float)[steady])
     return model.personal(transform(head_from_world, template.vertices).astype(model.vertices.dtype), name="person")
+
+
+def seen_vertices(rig: Rig, take: MeshSequence, triangles: NDArray) -> NDArray[np.bool_]:
+    """(n,) vertices that two cameras at least see where a take begins."""
+    mesh = next(iter(take)).astype(float)
+    normals = vertex_normals(mesh, triangles)
+    return count_cameras(rig, mesh, triangles, mesh, normals, max_angle_deg=MOST_ANGLE_DEG) >= LEAST_CAMERAS
 
 
 def _affordable(settings: SpeechTrainingSettings, frames: int) -> SpeechTrainingSettings:
@@ -102,19 +116,13 @@ def _fits(training: SpeechTraining, name: str, takes: Mapping[str, MeshSequence]
 
 def _spoken(head: HeadModel, person: NeckPerson, speech: SpeechFit, chosen: NDArray) -> NDArray[np.float64]:
     """(f, k, 3) of eq. 7 at chosen vertices; NaN where the frame was not fitted."""
-    rest = person.base[chosen] + np.tensordot(speech.phi, np.asarray(head.speech_basis, float)[:, chosen], axes=1)
-    rest[speech.known] += _larynx_at(person.larynx, speech, chosen)
-    return rest
-
-
-def _larynx_at(larynx: LarynxMap, speech: SpeechFit, chosen: NDArray) -> NDArray[np.float64]:
-    offset = larynx.offset(speech.tau_m[speech.known], speech.alpha[speech.known])
-    place = np.full(max(int(chosen.max()), int(offset.vertices.max())) + 1, -1)
-    place[chosen] = np.arange(len(chosen))
-    inside = place[offset.vertices] >= 0
-    out = np.zeros((len(offset.values), len(chosen), 3))
-    out[:, place[offset.vertices[inside]]] = offset.values[:, inside]
-    return out
+    own, parts = head.personal(person.base.astype(head.vertices.dtype)), []
+    known = SpeechFit(*(values[speech.known] for values in (speech.tau_m, speech.alpha, speech.phi)))
+    for block in in_blocks(len(known.tau_m), BLOCK):
+        part = known.frames(block)
+        rest = own.rest(HeadCoefficients(speech=part.phi), person.larynx.offset(part.tau_m, part.alpha))
+        parts.append(rest[:, chosen])
+    return spread(np.concatenate(parts), speech.known)
 
 
 def _error_mm(away: NDArray) -> NDArray[np.float64]:

@@ -231,6 +231,7 @@ class _Run:
         """Outside L: leading coordinates of the frames' offsets from the neutral head."""
 
         def offsets() -> Iterator[NDArray]:
+            """Blocks (f, c) over all people."""
             for person in self.people:
                 neutral = person.subject.neutral[self.rest].astype(np.float32)
                 for chosen in person.blocks():

@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 
 from headcap.cameras import Camera, Rig
 from headcap.meshes.normals import triangle_normals
-from headcap.registration.render import LEAST_COSINE, Picture, Projection, Source, project, visible_share
+from headcap.registration.render import Picture, Projection, Source, project, visible_share
 from headcap.registration.template import Template
 
 DEPTH_JUMP_M = 4e-3
 """Neighbouring pixels whose depths differ more lie on either side of an occluding edge."""
+
+
+LEAST_COSINE = 0.25
+"""A photograph serves triangles that it sees less obliquely than this cosine."""
 
 
 @dataclass(frozen=True)

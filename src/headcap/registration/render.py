@@ -9,7 +9,6 @@ in it, the atlas serves the rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,11 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from headcap.cameras import Camera
-from headcap.meshes.normals import vertex_normals
 from headcap.meshes.rasteriser import Raster, rasterise_pixels
-
-LEAST_COSINE = 0.25
-"""Surface seen more obliquely than this cosine does not count as seen."""
 
 
 @dataclass(frozen=True)
@@ -178,16 +173,6 @@ def _mostly(chosen, triangles, n_vertices):
             every[triangles[f, k]] += 1
             some[triangles[f, k]] += chosen[f]
     return some > 0.6 * np.maximum(every, 1)
-
-
-def in_view(cameras: Iterable[Camera], vertices: NDArray, triangles: NDArray, *, least_cameras: int = 2) -> NDArray[np.bool_]:
-    """(n,) vertices of a mesh (n, 3), (m, 3) that several cameras see free and not too obliquely."""
-    normals, count = vertex_normals(vertices, triangles), np.zeros(len(vertices), int)
-    for camera in cameras:
-        towards = camera.centre - vertices
-        facing = np.einsum("nk,nk->n", towards, normals) > LEAST_COSINE * np.linalg.norm(towards, axis=1)
-        count += facing & visible_vertices(project(camera, vertices, triangles), triangles, len(vertices))
-    return count >= least_cameras
 
 
 def _window(pixels: NDArray, camera: Camera, margin_px: int) -> Window:

@@ -6,8 +6,8 @@ import pytest
 from headcap.cameras import Rig
 from headcap.evaluation.reconstruction import compare_cloud, sample_surface, summarise_clouds
 from headcap.evaluation.settings import EvaluateSettings
-from headcap.evaluation.visibility import count_cameras
 from headcap.geometry.transforms import from_vector, transform
+from headcap.meshes.visibility import count_cameras
 
 SETTINGS = EvaluateSettings(surface_samples=20_000)
 
