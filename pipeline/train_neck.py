@@ -1,45 +1,41 @@
-"""Tracked speech takes to the person's neck model."""
+"""Tracked speech takes of several people to the neck model that they share."""
 
 import logging
 from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
-from headcap.calibration.result import CalibrationResult
-from headcap.neck.figure import save_neck_figure
-from headcap.neck.person_training import NeckTrainingSettings, train_person
-from headcap.registration.sequence import MeshSequence
-from headcap.registration.template import Template
+from headcap.heads.model import HeadModel
+from headcap.neck.figure import save_training_figure
+from headcap.neck.study_training import NeckTrainingSettings, train_neck
+from headcap.neck.subjects import SubjectFiles
 
 PROGRESS = logging.getLogger("headcap.progress")
 
 
 def run(
     *,
-    template: Path,
-    rig: Path,
-    sequences: list[Path],
+    files: list[Path],
+    head: Path,
     model: Path,
-    fits: Path,
     figure: Path,
-    person: str,
+    people: list[SubjectFiles],
     settings: NeckTrainingSettings,
 ) -> None:
-    loaded = {sequence.take: sequence for sequence in map(MeshSequence.load, sequences)}
-    PROGRESS.info("train_neck: %d frames of %s", sum(map(len, loaded.values())), ", ".join(loaded))
-    neutral = Template.load(template)
-    training, fitted = train_person(person, neutral, loaded, settings, rig=CalibrationResult.load(rig).rig)
-    save_neck_figure(figure, training, fitted)
-    fitted.save(fits)
+    base = HeadModel.load(head)
+    subjects = [person.load(base) for person in people]
+    for subject in subjects:
+        PROGRESS.info("train_neck: %d frames of %s", len(subject.meshes("speech")), subject.name)
+    training = train_neck(base, subjects, settings, scratch=model.parent)
+    save_training_figure(figure, training)
     training.model.save(model)
-    for artifact, kind, figures in ((fits, "neck_fits", fitted.figures()), (model, "neck_model", {})):
-        write_manifest(
-            artifact,
-            kind=kind,
-            stage="train_neck",
-            settings_digest=digest_settings(settings=settings),
-            inputs=[template, rig, *sequences],
-            figures=figures,
-        )
+    write_manifest(
+        model,
+        kind="neck_model",
+        stage="train_neck",
+        settings_digest=digest_settings(settings=settings),
+        inputs=[head, *files],
+        figures={},
+    )
 
 
 if "snakemake" in globals():

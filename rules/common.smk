@@ -290,43 +290,15 @@ def session_results(wildcards):
         "clouds": session_clouds(wildcards),
         "starts": [f"{folder}/track/{take}/start.npz" for take in names],
         "sequences": [f"{folder}/track/{take}/sequence.json" for take in names],
-        "necks": trained_necks(wildcards),
+        "necks": neck_figures(wildcards),
     }
 
 
-def trained_necks(wildcards):
-    """What was trained on the takes in which the person speaks."""
-    if not speech_takes(wildcards):
+def neck_figures(wildcards):
+    """What the study's neck model says of the person, where one is trained."""
+    if wildcards.session not in PLAN.neck_people:
         return []
-    folder = f"results/{wildcards.session}"
-    without_sound = session_of(wildcards).train_speech is None
-    regressors = [] if without_sound else [f"{folder}/train_speech/regressor.npz"]
-    return [f"{folder}/train_neck/fits.npz", *regressors]
-
-
-def speech_takes(wildcards):
-    """Takes in which the person speaks."""
-    return [take.name for take in session_of(wildcards).takes if take.kind == "speech"]
-
-
-def speech_sequences(wildcards):
-    """Tracked takes in which the person speaks."""
-    return [
-        f"results/{wildcards.session}/track/{take}/sequence.json"
-        for take in speech_takes(wildcards)
-    ]
-
-
-def speech_ingested(wildcards):
-    """Recordings of the takes in which the person speaks."""
-    folder = f"results/{wildcards.session}/ingest"
-    return [f"{folder}/{take}.json" for take in speech_takes(wildcards)]
-
-
-def speech_offsets(wildcards):
-    """Start times of the takes in which the person speaks."""
-    folder = f"results/{wildcards.session}/sync"
-    return [f"{folder}/{take}.json" for take in speech_takes(wildcards)]
+    return [f"results/{PLAN.name}/evaluate_neck/figures.json"]
 
 
 def sync_figures(wildcards):
@@ -351,3 +323,123 @@ def evaluate_setting(wildcards):
 
 def described_session(wildcards):
     return session_of(wildcards).model_dump(mode="json")
+
+
+# ---- people of the study
+
+
+def mesh_rehearsal(wildcards):
+    return PLAN.meshes[wildcards.person].rehearse_meshes.model_dump(mode="json")
+
+
+def training_setting(stage):
+    """Settings of a stage that the whole study shares."""
+    return getattr(PLAN.study, stage).model_dump(mode="json")
+
+
+def take_name(wildcards):
+    return wildcards.take
+
+
+def subject_files(person, *kinds):
+    """Where a person's neutral head and takes of some kinds, or of all, lie."""
+    kinds = PLAN.takes(person, *kinds)
+    if person in PLAN.sessions:
+        folder = f"results/{person}"
+        rig, template = f"{folder}/calibrate/rig.json", f"{folder}/register/template.npz"
+        sequences = {take: f"{folder}/track/{take}/sequence.json" for take in kinds}
+    else:
+        rig, template = None, PLAN.meshes[person].template
+        sequences = {take: PLAN.meshes[person].take(take).sequence for take in kinds}
+    return {
+        "name": person,
+        "template": template,
+        "sequences": sequences,
+        "kinds": kinds,
+        "rig": rig,
+    }
+
+
+def subject_inputs(person, *kinds):
+    """What makes these files."""
+    files = subject_files(person, *kinds)
+    if person in PLAN.sessions:
+        return [files["template"], files["rig"], *files["sequences"].values()]
+    return mesh_inputs(person, [files["template"], *files["sequences"].values()])
+
+
+def mesh_inputs(person, paths):
+    """Files of a person who comes as meshes; where they are rehearsed, what says that they are there."""
+    if PLAN.meshes[person].rehearse_meshes is not None:
+        return [f"results/{person}/rehearse_meshes/rehearsal.json"]
+    return paths
+
+
+def training_people(*kinds):
+    """People that a stage is trained on, with their takes of the kinds it learns from."""
+    return [
+        subject_files(person, *kinds)
+        for person in PLAN.training
+        if PLAN.takes(person, *kinds)
+    ]
+
+
+def training_inputs(*kinds):
+    return [
+        path
+        for person in PLAN.training
+        if PLAN.takes(person, *kinds)
+        for path in subject_inputs(person, *kinds)
+    ]
+
+
+def person_files(wildcards):
+    return subject_files(wildcards.person)
+
+
+def person_inputs(wildcards):
+    return subject_inputs(wildcards.person)
+
+
+def is_held_out(wildcards):
+    return wildcards.person in PLAN.study.held_out
+
+
+def mesh_sound(wildcards):
+    return PLAN.meshes[wildcards.person].take(wildcards.take).sound
+
+
+def mesh_sound_input(wildcards):
+    return mesh_inputs(wildcards.person, [mesh_sound(wildcards)])
+
+
+def take_sounds(people):
+    """What was heard of the speech takes of some people."""
+    return [
+        f"results/{person}/{'hear' if person in PLAN.sessions else 'hear_meshes'}/{take}.npz"
+        for person in people
+        for take in PLAN.heard(person)
+    ]
+
+
+def voice_sounds(wildcards):
+    return take_sounds(PLAN.voices[wildcards.voice].people)
+
+
+def voice_fits(wildcards):
+    return [
+        f"results/{PLAN.name}/fit_neck/{person}/fits.npz"
+        for person in PLAN.voices[wildcards.voice].people
+    ]
+
+
+def voice(wildcards):
+    """Whose voices train a regressor, and what of the neck it drives."""
+    return PLAN.voices[wildcards.voice].model_dump(mode="json") | {
+        "generic": wildcards.voice not in PLAN.people
+    }
+
+
+def neck_targets(wildcards):
+    """What a study of several people shows of the neck."""
+    return [] if PLAN.is_session else [f"results/{PLAN.name}/metrics.json"]

@@ -1,34 +1,30 @@
 """
-The person's neck model, from tracked takes in which the person speaks.
+The neck model that the people who train share, from tracked takes in which they speak.
 
-INPUTS:   template  = results/{session}/register/template.npz
-          rig       = results/{session}/calibrate/rig.json, which tells what cameras saw
-          sequences = results/{session}/track/{take}/sequence.json of the takes of kind speech
-OUTPUTS:  model  = results/{session}/train_neck/model.npz, speech blendshapes and the person's larynx
-          fits   = results/{session}/train_neck/fits.npz, coefficients of every frame
-          figure = results/{session}/train_neck/training.png
+INPUTS:   head   = results/{study}/train_expressions/head.npz
+          files  = neutral heads and tracked takes of kind speech
+OUTPUTS:  model  = results/{study}/train_neck/model.npz, speech blendshapes and each person's larynx
+          figure = results/{study}/train_neck/training.png
 """
 
 
 rule train_neck:
-    """Larynx and speech blendshapes of the session's person."""
+    """Speech blendshapes and larynges of the study's people."""
     input:
-        template="results/{session}/register/template.npz",
-        rig="results/{session}/calibrate/rig.json",
-        sequences=speech_sequences,
+        head="results/{study}/train_expressions/head.npz",
+        files=training_inputs("speech"),
     output:
-        model="results/{session}/train_neck/model.npz",
-        fits="results/{session}/train_neck/fits.npz",
-        figure="results/{session}/train_neck/training.png",
+        model="results/{study}/train_neck/model.npz",
+        figure="results/{study}/train_neck/training.png",
     log:
-        "results/{session}/logs/train_neck.log",
+        "results/{study}/logs/train_neck.log",
     benchmark:
-        "results/{session}/benchmarks/train_neck.tsv"
+        "results/{study}/benchmarks/train_neck.tsv"
     resources:
         mem_mb=3000,
     params:
-        person=setting("session"),
-        settings=setting("train_neck"),
+        people=training_people("speech"),
+        settings=training_setting("train_neck"),
         source=source("train_neck"),
     script:
         "../pipeline/train_neck.py"

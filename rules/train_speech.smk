@@ -1,33 +1,34 @@
 """
-From the person's voice to the coefficients of their neck model, from the takes that the model was fitted to.
+From voices to the coefficients of the neck model: one regressor for each person who trains, and one for each group.
 
-INPUTS:   model, fits = results/{session}/train_neck/model.npz, fits.npz
-          ingested, offsets of the takes of kind speech: their sound, and when it was heard
-          clapper     = results/{session}/sync/board/clapper.json, each camera's lag of sound behind picture
-OUTPUTS:  regressor   = results/{session}/train_speech/regressor.npz
-          figure      = results/{session}/train_speech/prediction.png, coefficients fitted and predicted
+INPUTS:   model     = results/{study}/train_neck/model.npz
+          fits      = results/{study}/fit_neck/{person}/fits.npz of the people
+          sounds    = what was heard of their speech takes
+OUTPUTS:  regressor = results/{study}/train_speech/{voice}.npz
+          errors    = results/{study}/train_speech/{voice}.errors.json, on takes and people left out
+          figure    = results/{study}/train_speech/{voice}.png, coefficients fitted and predicted
 """
 
 
 rule train_speech:
-    """Speech regressors of the session's person."""
+    """A speech regressor of one person or of a group."""
     input:
-        model="results/{session}/train_neck/model.npz",
-        fits="results/{session}/train_neck/fits.npz",
-        ingested=speech_ingested,
-        offsets=speech_offsets,
-        clapper="results/{session}/sync/board/clapper.json",
+        model="results/{study}/train_neck/model.npz",
+        fits=voice_fits,
+        sounds=voice_sounds,
     output:
-        regressor="results/{session}/train_speech/regressor.npz",
-        figure="results/{session}/train_speech/prediction.png",
+        regressor="results/{study}/train_speech/{voice}.npz",
+        errors="results/{study}/train_speech/{voice}.errors.json",
+        figure="results/{study}/train_speech/{voice}.png",
     log:
-        "results/{session}/logs/train_speech.log",
+        "results/{study}/logs/train_speech/{voice}.log",
     benchmark:
-        "results/{session}/benchmarks/train_speech.tsv"
+        "results/{study}/benchmarks/train_speech/{voice}.tsv"
     resources:
         mem_mb=2000,
     params:
-        settings=setting("train_speech"),
+        voice=voice,
+        settings=training_setting("train_speech"),
         source=source("train_speech"),
     script:
         "../pipeline/train_speech.py"

@@ -19,7 +19,8 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
-from headcap.neck.person_training import NeckTrainingSettings
+from headcap.neck.pose_expression_training import PoseExpressionSettings
+from headcap.neck.study_training import NeckTrainingSettings
 from headcap.neck.voice_training import VoiceTrainingSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
@@ -27,7 +28,7 @@ from headcap.registration.place import PlaceSettings
 from headcap.registration.register import RegisterSettings
 from headcap.registration.track_settings import TrackSettings
 from headcap.sync.settings import SyncSettings
-from headcap.synthetic.settings import RehearsalSettings
+from headcap.synthetic.settings import MeshRehearsalSettings, RehearsalSettings, TakeKind
 
 UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 CALIBRATION = "calibration"
@@ -78,7 +79,7 @@ class Take(_Recordings):
     """One take, one recording per camera."""
 
     name: Name = Field(description="Name of the take and of its results' folders.")
-    kind: Literal["pose", "expression", "speech", "lips", "free"] = Field(description="What the subject does.")
+    kind: TakeKind = Field(description="What the subject does.")
     frames: tuple[int, int] | None = Field(
         default=None, description="First and last frame, counted on the camera that started last; by default all."
     )
@@ -126,8 +127,15 @@ GATES: dict[str, float] = {
 """Limits that hold a run up where a session names no other; calibrate's own are in its settings."""
 
 
-class Session(_Settings):
-    """One capture session, from recordings to tracked meshes."""
+class _Training(_Settings):
+    """Settings of what is trained on tracked takes, of one session or of a study's."""
+
+    train_expressions: PoseExpressionSettings = PoseExpressionSettings()
+    train_neck: NeckTrainingSettings = NeckTrainingSettings()
+
+
+class Session(_Training):
+    """One capture session, from recordings to tracked meshes; in a study, the study's own settings train."""
 
     session: Name = Field(description="Name of the session; results go to results/<session>.")
     subject: str = Field(description="Who was recorded.")
@@ -153,7 +161,6 @@ class Session(_Settings):
     register_scan: RegisterSettings = Field(default=RegisterSettings(), alias="register")
     place: PlaceSettings = PlaceSettings()
     track: TrackSettings = TrackSettings()
-    train_neck: NeckTrainingSettings = NeckTrainingSettings()
     train_speech: VoiceTrainingSettings | None = Field(
         default=VoiceTrainingSettings(), description="null: speech takes have no sound, and no regressor is trained."
     )
@@ -193,19 +200,61 @@ class Session(_Settings):
         return str(self.root / relative)
 
 
-class Study(_Settings):
-    """Sessions that are worked on together."""
+class MeshTake(_Settings):
+    """One take of a subject that comes as meshes."""
 
-    study: Name = Field(description="Name of the study.")
+    name: Name = Field(description="Name of the take.")
+    kind: TakeKind = Field(description="What the subject does.")
+    sequence: str = Field(description="Mesh sequence (JSON) in the base head's topology.")
+    sound: str | None = Field(default=None, description="Recording of the voice; its clock is the sequence's.")
+    larynx: str | None = Field(default=None, description="True height of the larynx, npz: time_s, larynx_dy_m.")
+
+
+class MeshSubject(_Settings):
+    """A person whose tracked takes come from elsewhere, or are rehearsed without pictures."""
+
+    subject: Name = Field(description="Name of the person; what is rehearsed goes to results/<subject>.")
+    template: str = Field(description="The person's neutral head (npz), in the base head's topology.")
+    takes: tuple[MeshTake, ...] = Field(min_length=1, description="The takes.")
+    limits: dict[str, float] = Field(default_factory=dict, description="Limits of this person's figures.")
+    rehearse_meshes: MeshRehearsalSettings | None = Field(
+        default=None, description="Make the takes first; what the entry does not say is then taken from here."
+    )
+
+    def take(self, name: str) -> MeshTake:
+        """The take of that name."""
+        return next(take for take in self.takes if take.name == name)
+
+
+class VoiceGroup(_Settings):
+    """People whose voices train one regressor that is meant for others as well."""
+
+    name: Name = Field(description="Name of the regressor.")
+    people: tuple[Name, ...] = Field(min_length=1, description="Sessions and mesh subjects of the study that train it.")
+    coefficients: Literal["all", "phi"] = Field(
+        default="all", description="phi: speech blendshapes alone, for people whose larynx hardly shows."
+    )
+
+
+class Study(_Training):
+    """Sessions that are worked on together: who trains, and who is held out to be tested on."""
+
+    study: Name = Field(description="Name of the study; its results go to results/<study>.")
     sessions: tuple[str | dict, ...] = Field(min_length=1, description="Session files, or their content.")
+    mesh_subjects: tuple[MeshSubject, ...] = Field(default=(), description="Further people, without recordings.")
+    held_out: tuple[Name, ...] = Field(default=(), description="Sessions and mesh subjects that nothing is trained on.")
+    groups: tuple[VoiceGroup, ...] = Field(default=(), description="Generic regressors beside each person's own.")
+    train_speech: VoiceTrainingSettings = VoiceTrainingSettings()
 
 
 def schemas() -> dict[str, dict]:
     """JSON schemas of session and study files, by the name of their file."""
     study = Study.model_json_schema()
     session = Session.model_json_schema()
-    # what a rehearsed session does not say is filled in from its rehearsal
+    # what a rehearsed session or subject does not say is filled in from its rehearsal
     session["anyOf"] = [{"required": session.pop("required")}, {"required": ["session", "rehearse"]}]
+    meshes = study["$defs"]["MeshSubject"]
+    meshes["anyOf"] = [{"required": meshes.pop("required")}, {"required": ["subject", "rehearse_meshes"]}]
     return {"session": _draft | session, "study": _draft | study}
 
 

@@ -26,6 +26,9 @@ from headcap.neck.speech_fitting import SpeechFit, spread
 LEAST_REST_ALPHA = 0.05
 """A neutral head that shows less of the larynx than this cannot set its scale."""
 
+LEAST_FRAMES = 8
+"""Of each subject: two for each of the three numbers that place and shape a larynx, and two to spare."""
+
 BLOCK = 512
 """Frames read at once: 80 MB at 13 thousand vertices."""
 
@@ -83,7 +86,8 @@ def train_speech(
     """
     settings = settings or SpeechTrainingSettings()
     for subject in subjects:
-        _check(subject, model, settings)
+        _check(subject, model)
+    _check_frames(subjects, settings)
     run = _Run(model, empty, subjects, settings, progress)
     run.estimate_slides()
     run.grow()
@@ -94,17 +98,27 @@ def train_speech(
     return run.result()
 
 
-def _check(subject: SpeechSubject, model: HeadModel, settings: SpeechTrainingSettings) -> None:
-    n, least = len(model.vertices), 2 * settings.iterations * settings.growth
+def _check(subject: SpeechSubject, model: HeadModel) -> None:
+    n = len(model.vertices)
     if subject.neutral.shape != (n, 3) or subject.meshes.shape[1:] != (n, 3):
         raise InputError(
             f"subject {subject.name}: neutral {subject.neutral.shape}, meshes {subject.meshes.shape}",
             expected=f"({n}, 3) and (frames, {n}, 3), the topology of {model.name}",
             remedy="Track the takes with this model's template.",
         )
-    if len(subject.meshes) < least:
+    if len(subject.meshes) < LEAST_FRAMES:
         raise InputError(
             f"subject {subject.name}: {len(subject.meshes)} frames",
+            expected=f"at least {LEAST_FRAMES}, to tell the larynx from the throat it slides under",
+            remedy="Record longer speech takes, or leave this subject out of the training.",
+        )
+
+
+def _check_frames(subjects: Sequence[SpeechSubject], settings: SpeechTrainingSettings) -> None:
+    frames, least = sum(len(subject.meshes) for subject in subjects), 2 * settings.iterations * settings.growth
+    if frames < least:
+        raise InputError(
+            f"{frames} frames of {', '.join(subject.name for subject in subjects) or 'nobody'}",
             expected=f"at least {least}, twice the speech blendshapes",
             remedy="Record longer speech takes or train fewer blendshapes.",
         )

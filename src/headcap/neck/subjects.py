@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from headcap.calibration.result import CalibrationResult
 from headcap.cameras import Rig
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_rigid, transform
@@ -20,6 +22,26 @@ from headcap.registration.template import Template
 
 LEAST_CAMERAS, MOST_ANGLE_DEG = 2, 75.0
 """What so many cameras see, no more obliquely than this, was tracked and not made up."""
+
+
+@dataclass(frozen=True)
+class SubjectFiles:
+    """Where one person's neutral head and tracked takes lie."""
+
+    name: str
+    template: Path
+    sequences: dict[str, Path]
+    """Mesh sequences by take."""
+    kinds: dict[str, str]
+    """What the person does, by take."""
+    rig: Path | None = None
+    """Result of calibrate, which tells what cameras saw; None where the meshes come from elsewhere."""
+
+    def load(self, model: HeadModel) -> NeckSubject:
+        """The person in the frame of a head model; raises `InputError` as `NeckSubject.of`, and `ArtifactError`."""
+        sequences = {take: MeshSequence.load(path) for take, path in self.sequences.items()}
+        rig = CalibrationResult.load(self.rig).rig if self.rig else None
+        return NeckSubject.of(model, self.name, Template.load(self.template), sequences, self.kinds, rig)
 
 
 class JoinedMeshes:

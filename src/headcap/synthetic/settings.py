@@ -160,6 +160,22 @@ DEFAULT_LIGHTS = (
 DEFAULT_TAKES = (TakeSettings(name="free_01", kind="free", duration_s=1.0),)
 
 
+class MeshRehearsalSettings(_Settings):
+    """A subject that is rehearsed without pictures: mesh sequences as they would be tracked without error, and the voice."""
+
+    seed: int = Field(ge=0, description="Who it is and what the person does; equal seeds are equal people.")
+    rate_hz: float = Field(default=30.0, gt=1, description="Frames per second.")
+    takes: tuple[TakeSettings, ...] = Field(min_length=1, description="The takes.")
+    subject: SubjectSettings = SubjectSettings()
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> MeshRehearsalSettings:
+        takes = [take.name for take in self.takes]
+        if len(set(takes)) != len(takes):
+            raise ValueError(f"names must differ: takes {takes}")
+        return self
+
+
 class RehearsalSettings(_Settings):
     """A whole rehearsal: all that is needed to make its files again, bit for bit on one machine."""
 

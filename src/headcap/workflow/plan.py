@@ -3,30 +3,83 @@
 from __future__ import annotations
 
 import copy
-import difflib
-import json
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from headcap.calibration.board import BoardSettings, read_board
 from headcap.errors import InputError, InputErrors
-from headcap.settings import Session, Study, disagreements, session_files
-from headcap.synthetic.settings import RehearsalSettings
+from headcap.settings import MeshSubject, Session, Study, VoiceGroup, disagreements, known_figures, session_files
+from headcap.synthetic.settings import MeshRehearsalSettings, RehearsalSettings, TakeSettings
+from headcap.workflow.validation import KeyedInputError, validate
 
 REHEARSALS = "results/{session}/rehearse"
+MESH_REHEARSALS = "results/{subject}/rehearse_meshes"
+SPOKEN_KINDS = ("speech", "free")
+"""Kinds of rehearsed takes in which something is said."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What one run of the workflow works on."""
+    """What one run of the workflow works on; a session by itself is a study of its own name."""
 
-    name: str
+    study: Study
     sessions: dict[str, Session]
+
+    @property
+    def name(self) -> str:
+        """The study's name, under which results of all people together lie."""
+        return self.study.study
+
+    @property
+    def meshes(self) -> dict[str, MeshSubject]:
+        """People who come without recordings."""
+        return {subject.subject: subject for subject in self.study.mesh_subjects}
+
+    @property
+    def people(self) -> tuple[str, ...]:
+        """Everybody: sessions, then mesh subjects."""
+        return (*self.sessions, *self.meshes)
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        """People that are trained on."""
+        return tuple(name for name in self.people if name not in self.study.held_out)
+
+    @property
+    def neck_people(self) -> tuple[str, ...]:
+        """Everybody, where the takes train a neck: somebody who is not held out speaks; nobody else."""
+        return self.people if any(self.takes(name, "speech") for name in self.training) else ()
+
+    @property
+    def is_session(self) -> bool:
+        """Whether the study is one session and no more: what both would write is written once."""
+        return self.people == (self.name,)
+
+    def takes(self, person: str, *kinds: str) -> dict[str, str]:
+        """Kind of each take of a person by name; of some kinds or of all."""
+        takes = (self.sessions.get(person) or self.meshes[person]).takes
+        return {take.name: take.kind for take in takes if not kinds or take.kind in kinds}
+
+    def heard(self, person: str) -> tuple[str, ...]:
+        """Speech takes of a person that have a sound."""
+        if person in self.sessions:
+            return () if self.sessions[person].train_speech is None else tuple(self.takes(person, "speech"))
+        return tuple(take.name for take in self.meshes[person].takes if take.kind == "speech" and take.sound)
+
+    @property
+    def voices(self) -> dict[str, VoiceGroup]:
+        """Regressors to train by name: each speaking person's own, and the groups'."""
+        own = {name: VoiceGroup(name=name, people=(name,)) for name in self.training if self.heard(name)}
+        return (own | {group.name: group for group in self.study.groups}) if self.neck_people else {}
+
+    def limits(self, person: str) -> dict[str, float]:
+        """Limits of a person's figures."""
+        return (self.sessions.get(person) or self.meshes[person]).limits
 
 
 def read_document(path: Path | str) -> dict[str, Any]:
@@ -45,20 +98,107 @@ def load_plan(document: dict[str, Any]) -> Plan:
     if "study" not in document and "sessions" not in document:
         session, errors = check_session(document)
         _refuse(errors)
-        return Plan(session.session, {session.session: session})
-    study, errors = _validate(Study, document)
-    _refuse(errors)
+        trains = {key: getattr(session, key) for key in ("train_expressions", "train_neck", "train_speech")}
+        trains = {key: value for key, value in trains.items() if value is not None}
+        return Plan(Study(study=session.session, sessions=(session.session,), **trains), {session.session: session})
+    document, nested = _with_mesh_rehearsals(document)
+    study, errors = validate(Study, document)
+    _refuse(nested + errors)
     checked = [check_session(entry if isinstance(entry, dict) else read_document(entry)) for entry in study.sessions]
     errors = [error for _, found in checked for error in found]
     names = [session.session for session, _ in checked if session]
+    names += [subject.subject for subject in study.mesh_subjects]
     errors += [_named_twice(name) for name in sorted({name for name in names if names.count(name) > 1})]
     _refuse(errors)
-    return Plan(study.study, {session.session: session for session, _ in checked})
+    plan = Plan(study, {session.session: session for session, _ in checked})
+    _refuse([_disagreement(told) for told in study_disagreements(plan)] + _missing_mesh_files(study))
+    return plan
+
+
+def study_disagreements(plan: Plan) -> Iterator[str]:
+    """Names in a study that nobody has, people who would both train and test, and names that stand for two things."""
+    people, study = set(plan.people), plan.study
+    yield from (f"held_out: nobody is called {name}" for name in study.held_out if name not in people)
+    if not plan.training:
+        yield "held_out: everybody is held out, so that nothing can be trained"
+    if plan.name in people and not plan.is_session:
+        yield f"study: {plan.name} is also a person's name, and results of both would lie in one folder"
+    for group in study.groups:
+        where = f"groups.{group.name}"
+        yield from (f"{where}: nobody is called {name}" for name in group.people if name not in people)
+        yield from (f"{where}: {name} is held out" for name in group.people if name in study.held_out)
+        silent = [name for name in group.people if name in people and not plan.heard(name)]
+        yield from (f"{where}: {name} has no speech take with a sound" for name in silent)
+        if group.name in people:
+            yield f"{where}: a person has that name, and a regressor of their own"
+    groups = [group.name for group in study.groups]
+    yield from (f"groups: {name} is named twice" for name in sorted({name for name in groups if groups.count(name) > 1}))
+    for subject in study.mesh_subjects:
+        takes = [take.name for take in subject.takes]
+        yield from (f"{subject.subject}: take {name} is named twice" for name in sorted({n for n in takes if takes.count(n) > 1}))
+        unknown = sorted(set(subject.limits) - known_figures())
+        yield from (f"{subject.subject}, limits: no figure is called {name}" for name in unknown)
+
+
+def _missing_mesh_files(study: Study) -> list[InputError]:
+    given = [
+        (f"{subject.subject}.{key}", path)
+        for subject in study.mesh_subjects
+        if subject.rehearse_meshes is None
+        for key, path in (
+            ("template", subject.template),
+            *((f"{take.name}.{key}", getattr(take, key)) for take in subject.takes for key in ("sequence", "sound", "larynx")),
+        )
+    ]
+    return [
+        InputError(f"{key}: {path} is not there", expected="a file", remedy="Correct the path.")
+        for key, path in given
+        if path and not Path(path).is_file()
+    ]
+
+
+def _with_mesh_rehearsals(document: dict) -> tuple[dict, list[InputError]]:
+    """Fill in what rehearsed mesh subjects do not say from their rehearsals."""
+    if not isinstance(document.get("mesh_subjects"), list):
+        return document, []
+    filled, errors = [], []
+    for number, entry in enumerate(document["mesh_subjects"]):
+        if isinstance(entry, dict) and isinstance(entry.get("rehearse_meshes"), dict):
+            rehearsal, found = validate(MeshRehearsalSettings, entry["rehearse_meshes"])
+            where = ("mesh_subjects", number, "rehearse_meshes")
+            errors += [
+                KeyedInputError(
+                    (*where, *e.location), f"{'.'.join(map(str, where))}.{e.found}", expected=e.expected, remedy=e.remedy
+                )
+                for e in found
+            ]
+            # a stand-in that is never used: the errors above end the run
+            rehearsal = rehearsal or MeshRehearsalSettings(seed=0, takes=(TakeSettings(name="take", kind="speech"),))
+            entry = rehearsed_meshes(rehearsal, entry.get("subject", "rehearsal")) | entry
+            entry = {key: value for key, value in entry.items() if not (found and key == "rehearse_meshes")}
+        filled.append(entry)
+    return document | {"mesh_subjects": filled}, errors
+
+
+def rehearsed_meshes(rehearsal: MeshRehearsalSettings, name: str) -> dict[str, Any]:
+    """The entry of a study that describes a subject rehearsed without pictures."""
+    folder = MESH_REHEARSALS.format(subject=name)
+    takes = [
+        {
+            "name": take.name,
+            "kind": take.kind,
+            "sequence": f"{folder}/{take.name}.json",
+            "sound": f"{folder}/{take.name}.wav" if take.kind in SPOKEN_KINDS else None,
+            "larynx": f"{folder}/{take.name}.larynx.npz",
+        }
+        for take in rehearsal.takes
+    ]
+    return {"template": f"{folder}/template.npz", "takes": takes}
 
 
 def load_rehearsal(document: dict[str, Any]) -> RehearsalSettings:
     """Rehearsal settings, given as such or under a session's `rehearse`; raises `InputErrors`."""
-    settings, errors = _validate(RehearsalSettings, document.get("rehearse", document))
+    settings, errors = validate(RehearsalSettings, document.get("rehearse", document))
     _refuse(errors)
     return settings
 
@@ -66,93 +206,13 @@ def load_rehearsal(document: dict[str, Any]) -> RehearsalSettings:
 def check_session(document: dict[str, Any]) -> tuple[Session | None, list[InputError]]:
     """A session's content as `Session` (None where it cannot be read as one) and all that is wrong with it."""
     document, errors = _with_rehearsal(document)
-    session, found = _validate(Session, document)
+    session, found = validate(Session, document)
     errors += found
     # files are checked even where keys are wrong, as far as the rest makes a session
-    readable = session or _validate(Session, _repaired(document, found))[0]
+    readable = session or validate(Session, _repaired(document, found))[0]
     if readable:
         errors += [_disagreement(told) for told in disagreements(readable)] + _missing_files(readable) + _wrong_board(readable)
     return (None if errors else session), errors
-
-
-def _validate(model: type[BaseModel], document: dict) -> tuple[Any, list[InputError]]:
-    try:
-        # as JSON: strict about types, yet a list may stand for a tuple and 60 for 60.0
-        return model.model_validate_json(json.dumps(document, default=str), strict=True), []
-    except ValidationError as error:
-        items = [item for item in map(partial(_chosen, document), error.errors(include_url=False)) if item]
-        deeper = {item["loc"][:count] for item in items for count in range(len(item["loc"]))}
-        # a list with a wrong item is also told to be too short: that follows, and would only distract
-        return None, [_told(model, item) for item in items if item["loc"] not in deeper or not item["loc"]]
-
-
-class _KeyError(InputError):
-    """An `InputError` that remembers where in the document it is."""
-
-    def __init__(self, location: tuple, found: str, *, expected: str, remedy: str) -> None:
-        self.location = location
-        super().__init__(found, expected=expected, remedy=remedy)
-
-
-# pydantic names the members of a union on the way to an error: `board.str`, `board.function-after[..., BoardSettings].squares`
-def _union_member(part: str | int) -> type | None:
-    if part == "str":
-        return str
-    return dict if isinstance(part, str) and (part.startswith(("dict[", "function-")) or part.endswith("Settings")) else None
-
-
-def _chosen(document: dict, item: dict) -> dict | None:
-    """The error without union members on its way; None where it is of a member that was not meant."""
-    holder, location = document, []
-    for part in item["loc"]:
-        member = None if _has(holder, part) else _union_member(part)
-        if member and not isinstance(holder, member):
-            # where no member was meant, the error is told once, without the member's name
-            return None if isinstance(holder, str | dict) or member is not str else item | {"loc": tuple(location)}
-        if member:
-            continue
-        location.append(part)
-        holder = holder[part] if _has(holder, part) else None
-    return item | {"loc": tuple(location)}
-
-
-def _has(holder: Any, part: str | int) -> bool:
-    return part in holder if isinstance(holder, dict) else isinstance(holder, list) and part < len(holder)
-
-
-def _told(model: type[BaseModel], item: dict) -> InputError:
-    location, where = item["loc"], ".".join(map(str, item["loc"])) or "the file"
-    if item["type"] == "extra_forbidden":
-        known = _known_keys(model, location[:-1])
-        near = difflib.get_close_matches(str(location[-1]), known, n=1)
-        hint = f"Did you mean {near[0]}?" if near else "Remove it."
-        return _KeyError(location, f"{where}: unknown key", expected=f"one of {', '.join(sorted(known))}", remedy=hint)
-    if item["type"] == "missing":
-        return _KeyError(location, f"{where}: missing", expected="a value", remedy="Add it; config/schema describes every key.")
-    found = f"{where}: {item['input']!r:.80}"
-    return _KeyError(location, found, expected=_expectation(item["msg"]), remedy="Mend the value.")
-
-
-def _expectation(message: str) -> str:
-    message = message.removeprefix("Value error, ").removeprefix("Input should be ")
-    return message[:1].lower() + message[1:]
-
-
-def _known_keys(model: type[BaseModel], location: tuple) -> list[str]:
-    for part in location:
-        if isinstance(part, int):
-            continue
-        found = _models_of(model.model_fields[part].annotation) if part in model.model_fields else []
-        if not found:
-            return []
-        model = found[0]
-    return list(model.model_fields)
-
-
-def _models_of(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for part in getattr(annotation, "__args__", ()) for model in _models_of(part)]
 
 
 # what takes the place of a value that is wrong or missing, so that the files of the rest can be checked; the file "" is
@@ -225,10 +285,11 @@ def _with_rehearsal(document: dict) -> tuple[dict, list[InputError]]:
     """Fill in what a rehearsed session does not say from its rehearsal."""
     if not isinstance(document.get("rehearse"), dict):
         return document, []
-    rehearsal, errors = _validate(RehearsalSettings, document["rehearse"])
+    rehearsal, errors = validate(RehearsalSettings, document["rehearse"])
     if errors:
         nested = [
-            _KeyError(("rehearse", *e.location), f"rehearse.{e.found}", expected=e.expected, remedy=e.remedy) for e in errors
+            KeyedInputError(("rehearse", *e.location), f"rehearse.{e.found}", expected=e.expected, remedy=e.remedy)
+            for e in errors
         ]
         document = {key: value for key, value in document.items() if key != "rehearse"}
         return rehearsed_session(RehearsalSettings(), "rehearsal") | {"rehearse": {}} | document, nested

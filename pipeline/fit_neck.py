@@ -1,0 +1,43 @@
+"""One person's tracked takes to coefficients of the study's neck model, and how far each part of the model is off."""
+
+from pathlib import Path
+
+from headcap.artifacts import digest_settings, write_manifest
+from headcap.heads.model import HeadModel
+from headcap.neck.compensation import FitSettings
+from headcap.neck.figure import save_fits_figure
+from headcap.neck.model import NeckModel
+from headcap.neck.subject_fitting import fit_subject
+from headcap.neck.subjects import SubjectFiles
+
+
+def run(
+    *,
+    files: list[Path],
+    base: Path,
+    model: Path,
+    fits: Path,
+    fitted_model: Path,
+    figure: Path,
+    person: SubjectFiles,
+    held_out: bool,
+    settings: FitSettings,
+) -> None:
+    generic, neck = HeadModel.load(base), NeckModel.load(model)
+    fitted = fit_subject(neck, generic, person.load(generic), settings, held_out=held_out)
+    save_fits_figure(figure, fitted)
+    fitted.save(fits)
+    write_manifest(
+        fits,
+        kind="neck_fits",
+        stage="fit_neck",
+        settings_digest=digest_settings(settings=settings),
+        inputs=[base, model, *files],
+        figures=fitted.figures(),
+    )
+
+
+if "snakemake" in globals():
+    from adapter import run_rule
+
+    run_rule(run, snakemake)  # noqa: F821

@@ -1,0 +1,41 @@
+"""Tracked pose and expression takes of several people to a head model that knows how necks follow (section 5.1)."""
+
+import logging
+from pathlib import Path
+
+from headcap.artifacts import digest_settings, write_manifest
+from headcap.heads import procedural_model
+from headcap.neck.pose_expression_training import PoseExpressionSettings, train_pose_expression
+from headcap.neck.subjects import SubjectFiles
+
+PROGRESS = logging.getLogger("headcap.progress")
+
+
+def run(*, files: list[Path], base: Path, head: Path, people: list[SubjectFiles], settings: PoseExpressionSettings) -> None:
+    model = procedural_model()
+    model.save(base)
+    subjects = [person.load(model).training_subject() for person in people]
+    if any(subject.trains for subject in subjects):
+        model = train_pose_expression(model, subjects, settings, progress=_tell)
+    else:
+        _tell("no pose and no expression takes: pose correctives and expressions stay generic")
+    model.save(head)
+    for artifact in (base, head):
+        write_manifest(
+            artifact,
+            kind="head_model",
+            stage="train_expressions",
+            settings_digest=digest_settings(settings=settings),
+            inputs=files,
+            figures={},
+        )
+
+
+def _tell(message: str) -> None:
+    PROGRESS.info("train_expressions: %s", message)
+
+
+if "snakemake" in globals():
+    from adapter import run_rule
+
+    run_rule(run, snakemake)  # noqa: F821
