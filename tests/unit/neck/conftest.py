@@ -124,7 +124,8 @@ def heard_take(name: str, seed: int, larynx_noise: float = 0.05) -> tuple[TakeFi
     speech = SpeechFit(tau, 1.0 - 12.0 * tau, phi)
     still = np.broadcast_to(np.eye(4), (len(time_s), 4, 4))
     errors = np.zeros(len(time_s))
-    fit = TakeFit(name, time_s, speech, np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 0)), still, errors, errors)
+    errors_mm = {"base": errors, "expression": errors, "full": errors}
+    fit = TakeFit(name, "speech", time_s, speech, np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 0)), still, errors_mm)
     offsets = TimeOffsets(name, ("cam",), (0.0,), (0.0,), (1.0,), ("clap",))
     return fit, TakeSound(name, "cam", samples, 0.0, 30.0, offsets)
 

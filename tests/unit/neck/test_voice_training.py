@@ -14,8 +14,9 @@ from headcap.speech import SpeechCoefficients, SpeechRegressor
 
 
 def _cut(take: TakeFit, frames: int) -> TakeFit:
-    arrays = {name: getattr(take, name)[:frames] for name in ("time_s", "theta", "psi", "placement", "base_error_mm", "error_mm")}
-    return replace(take, speech=take.speech.frames(slice(0, frames)), **arrays)
+    arrays = {name: getattr(take, name)[:frames] for name in ("time_s", "theta", "psi", "placement")}
+    errors_mm = {stage: error[:frames] for stage, error in take.errors_mm.items()}
+    return replace(take, speech=take.speech.frames(slice(0, frames)), errors_mm=errors_mm, **arrays)
 
 
 def test_left_out_takes_are_predicted_better_than_by_the_mean(voice_training):
