@@ -28,7 +28,10 @@ repair_locks()
 
 
 wildcard_constraints:
+    study="[A-Za-z0-9_-]+",
     session="[A-Za-z0-9_-]+",
+    person="[A-Za-z0-9_-]+",
+    voice="[A-Za-z0-9_-]+",
     take="[A-Za-z0-9_-]+",
     recording="[A-Za-z0-9_-]+",
     camera="[A-Za-z0-9_-]+",
@@ -44,6 +47,7 @@ rule all:
     input:
         metrics=expand("results/{session}/metrics.json", session=PLAN.sessions),
         report=expand("results/{session}/report/report.html", session=PLAN.sessions),
+        study=study_results(),
         # named here so that they do not wait for the takes whose length is found out
         template=expand(
             "results/{session}/register/template.npz", session=PLAN.sessions
@@ -52,13 +56,18 @@ rule all:
 
 
 include: "rules/rehearse.smk"
+include: "rules/rehearse_meshes.smk"
 include: "rules/ingest.smk"
 include: "rules/sync.smk"
 include: "rules/calibrate.smk"
 include: "rules/register.smk"
 include: "rules/reconstruct.smk"
 include: "rules/track.smk"
+include: "rules/train_expressions.smk"
 include: "rules/train_neck.smk"
+include: "rules/fit_neck.smk"
+include: "rules/hear.smk"
 include: "rules/train_speech.smk"
+include: "rules/evaluate_neck.smk"
 include: "rules/evaluate.smk"
 include: "rules/report.smk"

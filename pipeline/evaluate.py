@@ -4,7 +4,7 @@ from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.result import CalibrationResult
-from headcap.evaluation.metrics import save_metrics
+from headcap.evaluation.metrics import load_metrics, save_metrics
 from headcap.evaluation.session import SessionFolder, evaluate_session
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.evaluation.truth import Truth
@@ -38,7 +38,8 @@ def run(
         settings=settings,
         scan=ScanPlacement.load(placement).placed(load_scan(scan["file"], scan["unit"])),
     )
-    save_metrics(metrics, figures)
+    said = [figure for path in necks for figure in load_metrics(path) if figure.session == metrics.parent.name]
+    save_metrics(metrics, [*figures, *said])
     write_manifest(
         metrics,
         kind="metrics",

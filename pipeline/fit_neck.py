@@ -4,10 +4,10 @@ from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads.model import HeadModel
-from headcap.neck.compensation import FitSettings
 from headcap.neck.figure import save_fits_figure
 from headcap.neck.model import NeckModel
-from headcap.neck.subject_fitting import fit_subject
+from headcap.neck.study_training import NeckTrainingSettings
+from headcap.neck.subject_fitting import fit_subject, person_of
 from headcap.neck.subjects import SubjectFiles
 
 
@@ -21,20 +21,24 @@ def run(
     figure: Path,
     person: SubjectFiles,
     held_out: bool,
-    settings: FitSettings,
+    settings: NeckTrainingSettings,
 ) -> None:
     generic, neck = HeadModel.load(base), NeckModel.load(model)
-    fitted = fit_subject(neck, generic, person.load(generic), settings, held_out=held_out)
+    subject = person.load(generic)
+    neck = neck.of_person(person_of(neck, subject))
+    fitted = fit_subject(neck, generic, subject, settings.fit, held_out=held_out)
     save_fits_figure(figure, fitted)
     fitted.save(fits)
-    write_manifest(
-        fits,
-        kind="neck_fits",
-        stage="fit_neck",
-        settings_digest=digest_settings(settings=settings),
-        inputs=[base, model, *files],
-        figures=fitted.figures(),
-    )
+    neck.save(fitted_model)
+    for artifact, kind, figures in ((fits, "neck_fits", fitted.figures()), (fitted_model, "neck_model", {})):
+        write_manifest(
+            artifact,
+            kind=kind,
+            stage="fit_neck",
+            settings_digest=digest_settings(settings=settings),
+            inputs=[base, model, *files],
+            figures=figures,
+        )
 
 
 if "snakemake" in globals():

@@ -21,7 +21,7 @@ def run(
     clouds: list[Path],
     starts: list[Path],
     sequences: list[Path],
-    necks: list[Path],
+    neck_pictures: list[Path],
     sync_figures: list[Path],
     residuals: list[Path],
     metrics: Path,
@@ -45,7 +45,7 @@ def run(
         truth=truth,
     )
     scanned = ScanPlacement.load(placement).placed(load_scan(scan["file"], scan["unit"]))
-    collected = collect_report(metrics.parent, described, scan=scanned)
+    collected = collect_report(metrics.parent, described, scan=scanned, neck_pictures=neck_pictures)
     write_summary(collected, summary)
     write_report(collected, report)
     write_manifest(
@@ -63,7 +63,7 @@ def run(
             *clouds,
             *starts,
             *sequences,
-            *necks,
+            *neck_pictures,
             *sync_figures,
             *residuals,
         ],

@@ -290,8 +290,16 @@ def session_results(wildcards):
         "clouds": session_clouds(wildcards),
         "starts": [f"{folder}/track/{take}/start.npz" for take in names],
         "sequences": [f"{folder}/track/{take}/sequence.json" for take in names],
-        "necks": neck_figures(wildcards),
     }
+
+
+def neck_pictures(wildcards):
+    """What fitting the neck model to the person, and training on the person's voice, drew."""
+    folder, person = f"results/{PLAN.name}", wildcards.session
+    if person not in PLAN.neck_people:
+        return []
+    voices = [f"{folder}/train_speech/{person}.png"] if person in PLAN.voices else []
+    return [f"{folder}/fit_neck/{person}/fits.png", *voices]
 
 
 def neck_figures(wildcards):
@@ -440,6 +448,20 @@ def voice(wildcards):
     }
 
 
-def neck_targets(wildcards):
-    """What a study of several people shows of the neck."""
-    return [] if PLAN.is_session else [f"results/{PLAN.name}/metrics.json"]
+def neck_results(wildcards):
+    """What the study's neck model says of everybody, and what voices say of it."""
+    folder = f"results/{PLAN.name}"
+    return {
+        "fits": [f"{folder}/fit_neck/{person}/fits.npz" for person in PLAN.neck_people],
+        "models": [
+            f"{folder}/fit_neck/{person}/model.npz" for person in PLAN.neck_people
+        ],
+        "errors": [f"{folder}/train_speech/{name}.errors.json" for name in PLAN.voices],
+        "regressors": [f"{folder}/train_speech/{name}.npz" for name in PLAN.voices],
+    }
+
+
+def study_results():
+    """What a study shows beside its sessions."""
+    necks = [f"results/{PLAN.name}/report_neck/neck.html"] if PLAN.neck_people else []
+    return necks if PLAN.is_session else [*necks, f"results/{PLAN.name}/metrics.json"]

@@ -11,6 +11,7 @@ rule evaluate:
     input:
         unpack(session_results),
         placement="results/{session}/register/placement.json",
+        necks=neck_figures,
     output:
         metrics="results/{session}/metrics.json",
     log:

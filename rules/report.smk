@@ -2,6 +2,7 @@
 One page per session: figures, gates, pictures of every stage.
 
 INPUTS:   results of all stages and takes, metrics = results/{session}/metrics.json
+          neck_pictures = what the neck model and the voice's regressor say of the person
           sync_figures, residuals = what sync drew and what the tracker was left with, per take
 OUTPUTS:  report  = results/{session}/report/report.html
           summary = results/{session}/report/summary.png, one line of pictures per take
@@ -14,6 +15,7 @@ rule report:
         unpack(session_results),
         sync_figures=sync_figures,
         residuals=take_residuals,
+        neck_pictures=neck_pictures,
         placement="results/{session}/register/placement.json",
         metrics="results/{session}/metrics.json",
     output:

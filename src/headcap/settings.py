@@ -240,7 +240,7 @@ class Study(_Training):
     """Sessions that are worked on together: who trains, and who is held out to be tested on."""
 
     study: Name = Field(description="Name of the study; its results go to results/<study>.")
-    sessions: tuple[str | dict, ...] = Field(min_length=1, description="Session files, or their content.")
+    sessions: tuple[str | dict, ...] = Field(default=(), description="Session files, or their content.")
     mesh_subjects: tuple[MeshSubject, ...] = Field(default=(), description="Further people, without recordings.")
     held_out: tuple[Name, ...] = Field(default=(), description="Sessions and mesh subjects that nothing is trained on.")
     groups: tuple[VoiceGroup, ...] = Field(default=(), description="Generic regressors beside each person's own.")

@@ -14,7 +14,6 @@ from headcap.cameras import Rig
 from headcap.evaluation.calibration import RigErrors, compare_rigs
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.metrics import Figure, make_figure
-from headcap.evaluation.neck import larynx_correlation
 from headcap.evaluation.pixel import pixel_on_skin_mm
 from headcap.evaluation.reconstruction import CloudErrors, compare_cloud, summarise_clouds
 from headcap.evaluation.registration import compare_registration, count_flipped
@@ -24,13 +23,15 @@ from headcap.evaluation.tracking import TrackingErrors, compare_sequence
 from headcap.evaluation.truth import Truth
 from headcap.geometry.transforms import transform
 from headcap.meshes.closest_point import Surface
-from headcap.neck.fits import NeckFits
 from headcap.reconstruction.points import PointCloud
 from headcap.recordings.takes import IngestedTake
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 from headcap.sync.offsets import TimeOffsets
 from headcap.sync.timeline import TakeTimeline
+
+REPEATING = ("evaluate", "evaluate_neck", "evaluate_study", "report", "report_neck")
+"""Stages that repeat what others said."""
 
 
 @dataclass(frozen=True)
@@ -80,21 +81,6 @@ class SessionFolder:
     def tracking_errors(self, take: str) -> Path:
         """Errors of the tracked take, written by `evaluate`."""
         return self.folder / "evaluate" / f"{take}.npz"
-
-    @property
-    def neck_fits(self) -> Path:
-        """Coefficients of the takes that the neck model was trained on."""
-        return self.folder / "train_neck" / "fits.npz"
-
-    @property
-    def neck_figure(self) -> Path:
-        """What the training of the neck model drew."""
-        return self.folder / "train_neck" / "training.png"
-
-    @property
-    def speech_figure(self) -> Path:
-        """What the training of the speech regressors drew."""
-        return self.folder / "train_speech" / "prediction.png"
 
     @property
     def template(self) -> Path:
@@ -166,15 +152,6 @@ class TruthComparison:
         """(4, 4) the session's world in the true one."""
         return self.rig_errors.truth_world_from_world
 
-    def neck(self, take: str) -> dict[str, float]:
-        """The `neck` figures of a take that need truth; none where the take was not fitted or its larynx is not known."""
-        fits = NeckFits.load(self.session.neck_fits).takes if self.session.neck_fits.is_file() else ()
-        height = self.truth.larynx_height(take)
-        fit = next((fit for fit in fits if fit.take == take), None)
-        if fit is None or height is None:
-            return {}
-        return {"neck.larynx_correlation": larynx_correlation(fit, *height, clock_shift_s=self.clock_shift_s(take))}
-
     def track(self, take: str, *, every: int = 1) -> TrackingErrors:
         """The tracked take against the true surface."""
         return compare_sequence(
@@ -202,7 +179,6 @@ def compare_take(comparison: TruthComparison, take: str) -> list[Figure]:
         errors = comparison.track(take)
         errors.save(session.tracking_errors(take))
         values |= errors.figures()
-    values |= comparison.neck(take)
     return _figures(values, session.name, take, comparison.settings)
 
 
@@ -273,8 +249,8 @@ def stated_figures(session: SessionFolder, takes: Iterable[str], settings: Evalu
     found: dict[tuple[str, str | None], float] = {}
     for path in sorted(session.folder.rglob("*.manifest.json")):
         manifest = Manifest.load(path)
-        if manifest.stage in ("evaluate", "report"):
-            continue  # they repeat what the stages said
+        if manifest.stage in REPEATING:
+            continue
         parts = {part.split(".")[0] for part in path.relative_to(session.folder).parts}
         take = next((take for take in takes if take in parts), None)
         for name, value in manifest.figures.items():

@@ -1,4 +1,4 @@
-"""One picture of a trained neck: energy by step, and each take's slide, scale, blendshape weights and errors over time."""
+"""Pictures of a neck model: the training's energy by step, and a person's coefficients and errors over time."""
 
 from __future__ import annotations
 
@@ -14,17 +14,31 @@ SHOWN_WEIGHTS = 3
 """Blendshape weights drawn, as in the paper's figure 8."""
 
 
-def save_neck_figure(path: Path | str, training: SpeechTraining, fits: NeckFits) -> None:
-    """Draw a PNG: falling energy, then per take a row with tau, alpha, weights and errors (figures 7, 8, 9)."""
+def save_training_figure(path: Path | str, training: SpeechTraining) -> None:
+    """Draw a PNG: the energy after each step of Algorithm 1."""
+    figure, rows = _figure(1)
+    _draw_energy(rows[0], training)
+    _save(figure, path)
+
+
+def save_fits_figure(path: Path | str, fits: NeckFits) -> None:
+    """Draw a PNG: per take a row with tau, alpha, weights and errors (figures 7, 8, 9)."""
+    figure, rows = _figure(len(fits.takes))
+    for axes, take in zip(rows, fits.takes, strict=True):
+        _draw_take(axes, take)
+    _save(figure, path)
+
+
+def _figure(rows: int):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(14, 2.4 + 2.4 * len(fits.takes)), layout="constrained", dpi=100)
+    figure = Figure(figsize=(14, 2.6 * rows), layout="constrained", dpi=100)
     FigureCanvasAgg(figure)
-    rows = figure.subplots(len(fits.takes) + 1, 1)
-    _draw_energy(rows[0], training)
-    for axes, take in zip(rows[1:], fits.takes, strict=True):
-        _draw_take(axes, take)
+    return figure, figure.subplots(rows, 1, squeeze=False)[:, 0]
+
+
+def _save(figure, path: Path | str) -> None:
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
 

@@ -67,6 +67,11 @@ class NeckModel:
         person.larynx.check(self.head)
         return replace(self, people=(*(p for p in self.people if p.name != person.name), person))
 
+    def of_person(self, person: NeckPerson) -> NeckModel:
+        """The model with one person alone."""
+        person.larynx.check(self.head)
+        return replace(self, people=(person,))
+
     def evaluate(
         self, person: NeckPerson, coefficients: HeadCoefficients, tau_m: NDArray | float, alpha: NDArray | float
     ) -> NDArray[np.floating]:

@@ -31,6 +31,11 @@ class TrainingSubject:
     seen: NDArray[np.bool_] | None = None
     """(n,) vertices that cameras saw, all by default: what a tracker makes up elsewhere is not learnt from."""
 
+    @property
+    def trains(self) -> bool:
+        """Whether there is anything to learn from."""
+        return bool(len(self.pose) or len(self.expression))
+
     def personal(self, model: HeadModel) -> HeadModel:
         """The model of this person."""
         return replace(model.personal(self.neutral), name=f"{model.name} of {self.name}")

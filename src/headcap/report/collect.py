@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +62,7 @@ def collect_report(
     described: SessionDescription,
     *,
     scan: tuple[NDArray, NDArray] | None = None,
+    neck_pictures: Sequence[Path] = (),
     frames_per_take: int = 3,
     cameras_per_frame: int = 2,
     board_pictures: int = 4,
@@ -68,6 +70,7 @@ def collect_report(
     """Read the results of a session (`results/<session>`); what a run has not made is left out.
 
     `scan` is the session's scan, vertices (v, 3) in metres and triangles (m, 3), in the frame of the registered template.
+    `neck_pictures` are what fitting the neck model and training the person's voice drew.
     """
     session = SessionFolder(folder)
     rig_path = folder / "calibrate" / "rig.json"
@@ -88,8 +91,7 @@ def collect_report(
         calibration=_calibration(folder, result, described.board, board_pictures) if result else None,
         register=_register(session, described.takes, scan) if session.template.is_file() else None,
         takes=takes,
-        neck_figure=_picture(session.neck_figure),
-        speech_figure=_picture(session.speech_figure),
+        neck_pictures=tuple(_picture(path) for path in neck_pictures),
         allowed=described.allowed,
         rehearsed=described.rehearsed,
         manifests=_manifests(folder),

@@ -261,11 +261,10 @@ def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], l
 
 
 def _neck(inputs: ReportInputs) -> list[_Shown]:
-    drawn = (
-        (inputs.neck_figure, "training of the neck model, and its coefficients over the speech takes"),
-        (inputs.speech_figure, "the coefficients fitted, and predicted from sound that was left out of training"),
-    )
-    return [_Shown(png_uri(image, 256), caption, wide=True) for image, caption in drawn if image is not None]
+    captions = ("coefficients and errors over the takes", "coefficients fitted, and predicted from sound left out of training")
+    return [
+        _Shown(png_uri(image, 256), caption, wide=True) for image, caption in zip(inputs.neck_pictures, captions, strict=False)
+    ]
 
 
 def _limits(inputs: ReportInputs, stage: str) -> dict[str, float | None]:

@@ -109,10 +109,8 @@ class ReportInputs:
     calibration: CalibrationReport | None = None
     register: RegisterReport | None = None
     takes: tuple[TakeReport, ...] = ()
-    neck_figure: NDArray[np.uint8] | None = None
-    """(height, width, 3) RGB: what the training of the neck model drew."""
-    speech_figure: NDArray[np.uint8] | None = None
-    """(height, width, 3) RGB: what the training of the speech regressors drew."""
+    neck_pictures: tuple[NDArray[np.uint8], ...] = ()
+    """(height, width, 3) RGB: coefficients of the neck model over the takes; the same predicted from the voice."""
     allowed: tuple[str, ...] = ()
     """Gates the session waives by name."""
     rehearsed: bool = False

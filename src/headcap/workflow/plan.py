@@ -119,7 +119,9 @@ def study_disagreements(plan: Plan) -> Iterator[str]:
     """Names in a study that nobody has, people who would both train and test, and names that stand for two things."""
     people, study = set(plan.people), plan.study
     yield from (f"held_out: nobody is called {name}" for name in study.held_out if name not in people)
-    if not plan.training:
+    if not people:
+        yield "sessions, mesh_subjects: the study has neither, and so nobody to work on"
+    elif not plan.training:
         yield "held_out: everybody is held out, so that nothing can be trained"
     if plan.name in people and not plan.is_session:
         yield f"study: {plan.name} is also a person's name, and results of both would lie in one folder"

@@ -79,7 +79,7 @@ def test_frames_that_are_not_numbers_are_left_out(model, chart, spoken):
 @pytest.mark.parametrize("change", ["few", "topology"])
 def test_wrong_subjects_are_refused_by_name(model, chart, spoken, change):
     subject = spoken[0].subject
-    wrong = replace(subject, meshes=subject.meshes[:10] if change == "few" else subject.meshes[:, :-1])
+    wrong = replace(subject, meshes=subject.meshes[:5] if change == "few" else subject.meshes[:, :-1])
     empty = larynx_map(model, chart, np.array([0.0, 0.0, 1.0]))
     with pytest.raises(InputError, match="subject s1"):
         train_speech(model, empty, [wrong])
@@ -108,3 +108,10 @@ def test_a_basis_that_is_not_orthonormal_gives_the_same_meshes(trained, spoken, 
     assert np.allclose(plain.tau_m, other.tau_m, atol=1e-7)
     first = np.tensordot(plain.phi, head.speech_basis, axes=1)
     assert np.abs(first - np.tensordot(other.phi, mixed, axes=1)).max() < 1e-6
+
+
+def test_too_few_frames_of_all_together_are_refused(model, chart, spoken):
+    empty = larynx_map(model, chart, np.array([0.0, 0.0, 1.0]))
+    few = [replace(one.subject, meshes=one.subject.meshes[:15]) for one in spoken]
+    with pytest.raises(InputError, match="30 frames of s1, s2; expected at least 40"):
+        train_speech(model, empty, few)

@@ -52,8 +52,8 @@ def test_what_sync_drew_and_what_the_tracker_was_left_with_are_shown(inputs, pag
 def test_the_neck_shows_what_was_trained_and_no_more(bare, tmp_path):
     drawn = np.full((40, 60, 3), 128, np.uint8)
     heard = make_figure("speech.tau_error", 2.5, session="s", take=None, settings=EvaluateSettings())
-    write_report(replace(bare, neck_figure=drawn, speech_figure=drawn, figures=(heard,)), tmp_path / "both.html")
-    write_report(replace(bare, neck_figure=drawn), tmp_path / "one.html")
+    write_report(replace(bare, neck_pictures=(drawn, drawn), figures=(heard,)), tmp_path / "both.html")
+    write_report(replace(bare, neck_pictures=(drawn,)), tmp_path / "one.html")
     both, one = ((tmp_path / name).read_text() for name in ("both.html", "one.html"))
     assert ("predicted from sound" in both, "predicted from sound" in one) == (True, False)
     assert 'id="neck"' in one

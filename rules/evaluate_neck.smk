@@ -1,0 +1,24 @@
+"""
+What the neck model and the voices show on everybody, against truth where it is known: tables 1 and 2 of the neck paper.
+
+INPUTS:   fits, errors = results/{study}/fit_neck/{person}/fits.npz, results/{study}/train_speech/{voice}.errors.json
+OUTPUTS:  figures      = results/{study}/evaluate_neck/figures.json
+"""
+
+
+rule evaluate_neck:
+    """Figures of the study's neck model."""
+    input:
+        unpack(neck_results),
+    output:
+        figures="results/{study}/evaluate_neck/figures.json",
+    log:
+        "results/{study}/logs/evaluate_neck.log",
+    benchmark:
+        "results/{study}/benchmarks/evaluate_neck.tsv"
+    resources:
+        mem_mb=1500,
+    params:
+        source=source("fit_neck"),
+    script:
+        "../pipeline/evaluate_neck.py"
