@@ -21,10 +21,7 @@ from headcap.neck.larynx_coefficients import Nuisance, SlideSettings, slide_and_
 from headcap.neck.larynx_update import LarynxUpdateSettings, SlideSums, update_larynx
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.speech_basis import in_blocks, leading_directions, reduce_rows
-from headcap.neck.speech_fitting import SpeechFit, spread
-
-LEAST_REST_ALPHA = 0.05
-"""A neutral head that shows less of the larynx than this cannot set its scale."""
+from headcap.neck.speech_fitting import SpeechFit, anchored, spread
 
 LEAST_FRAMES = 8
 """Of each subject: two for each of the three numbers that place and shape a larynx, and two to spare."""
@@ -225,15 +222,11 @@ class _Run:
 
     def _anchored(self, person: _Person) -> tuple[NeckPerson, SpeechFit]:
         """With alpha = 1 on the neutral head, as eq. 1 has it."""
-        offset = (person.throat.neutral - person.base)[None]
-        rest_alpha = slide_and_scale(offset, person.larynx, self.settings.slide)[1][0]
-        scale = rest_alpha if rest_alpha > LEAST_REST_ALPHA else 1.0
-        base = np.array(person.subject.neutral, float)
-        base[self.vertices] = person.base
-        larynx = person.larynx.with_weights(scale * person.larynx.weights_m)
+        subject, slide = person.subject, self.settings.slide
+        found, scale = anchored(subject.name, subject.neutral, person.base, person.larynx, slide)
         known = np.isin(np.arange(len(person.subject.meshes)), person.frames)
         values = (person.tau, person.alpha / scale, person.phi)
-        return NeckPerson(person.subject.name, base, larynx), SpeechFit(*(spread(v, known) for v in values))
+        return found, SpeechFit(*(spread(v, known) for v in values))
 
     def _spoken(self, person: _Person, chosen: slice, width: int) -> NDArray:
         """B_N on L (b, k, 3)."""
