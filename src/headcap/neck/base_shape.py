@@ -17,8 +17,8 @@ BORDER_TRUST = 100.0
 """Weight of eq. 8's boundary term over its Laplacian term (1 / lambda): the base meets its border to a hundredth of the bump."""
 LEAST_SHARE = 0.5
 """Offsets below this share of the largest say nothing about t_s: their direction is the Laplacian's, not the larynx's. Over
-eleven rehearsed throats t_s is 0.6 to 10 degrees off with a half, up to 17 with a quarter, and up to 138 with a tenth: L is many times
-as large as the bump, and each of its vertices has the same say in eq. 9."""
+eleven rehearsed throats t_s is 0.6 to 10 degrees off with a half, up to 17 with a quarter, and up to 138 with a tenth: L is many
+times as large as the bump, and each of its vertices has the same say in eq. 9."""
 
 
 @dataclass(frozen=True, eq=False)

