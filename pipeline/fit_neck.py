@@ -6,8 +6,8 @@ from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads.model import HeadModel
 from headcap.neck.figure import save_fits_figure
 from headcap.neck.model import NeckModel
-from headcap.neck.study_training import NeckTrainingSettings
-from headcap.neck.subject_fitting import fit_subject, person_of
+from headcap.neck.study_training import NeckTrainingSettings, person_of
+from headcap.neck.subject_fitting import fit_subject
 from headcap.neck.subjects import SubjectFiles
 
 
@@ -25,7 +25,7 @@ def run(
 ) -> None:
     generic, neck = HeadModel.load(base), NeckModel.load(model)
     subject = person.load(generic)
-    neck = neck.of_person(person_of(neck, subject))
+    neck = neck.of_person(person_of(neck, subject, settings, fits.parent))
     fitted = fit_subject(neck, generic, subject, settings.fit, held_out=held_out)
     save_fits_figure(figure, fitted)
     fitted.save(fits)

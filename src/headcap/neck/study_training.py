@@ -15,6 +15,8 @@ from headcap.heads import HeadModel
 from headcap.neck.chart import build_chart
 from headcap.neck.compensation import FitSettings, compensate
 from headcap.neck.larynx import LarynxMap, LarynxSettings, larynx_map
+from headcap.neck.model import NeckModel, NeckPerson
+from headcap.neck.person_fitting import PersonFittingSettings, fit_person
 from headcap.neck.speech_training import LEAST_FRAMES, SpeechSubject, SpeechTraining, SpeechTrainingSettings, train_speech
 from headcap.neck.subjects import NeckSubject
 
@@ -30,6 +32,7 @@ class NeckTrainingSettings(BaseModel):
     fit: FitSettings = Field(default_factory=FitSettings)
     larynx: LarynxSettings = Field(default_factory=LarynxSettings)
     speech: SpeechTrainingSettings = Field(default_factory=SpeechTrainingSettings)
+    person: PersonFittingSettings = Field(default_factory=PersonFittingSettings)
 
 
 def train_neck(
@@ -57,6 +60,21 @@ def train_neck(
     with TemporaryDirectory(dir=scratch, prefix=".speech_") as folder:
         people = [_at_rest(head, subject, settings.fit, Path(folder)) for subject in speaking]
         return train_speech(head, empty, people, _affordable(settings.speech, people), progress=progress)
+
+
+def person_of(model: NeckModel, subject: NeckSubject, settings: NeckTrainingSettings, scratch: Path | None = None) -> NeckPerson:
+    """The model's own person of the subject's name; anybody else is fitted, from the neutral head and what speech takes there are.
+
+    Raises `InputError` for another topology.
+    """
+    known = next((person for person in model.people if person.name == subject.name), None)
+    if known is not None:
+        return known
+    with TemporaryDirectory(dir=scratch, prefix=".speech_") as folder:
+        rests = None
+        if len(subject.meshes("speech")):
+            rests = speech_at_rest(model.head, subject, settings.fit, Path(folder) / "speech.npy")
+        return fit_person(model, subject, rests, settings.person)
 
 
 def common_larynx_map(head: HeadModel, subjects: Sequence[NeckSubject], settings: LarynxSettings) -> LarynxMap:
