@@ -275,7 +275,7 @@ def _disagreement(told: str) -> InputError:
 
 
 def _named_twice(name: str) -> InputError:
-    return InputError(f"two sessions are called {name}", expected="a name of its own for each", remedy="Rename one.")
+    return InputError(f"two sessions or subjects are called {name}", expected="a name of its own for each", remedy="Rename one.")
 
 
 def _refuse(errors: list[InputError]) -> None:

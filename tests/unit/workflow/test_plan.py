@@ -127,7 +127,7 @@ def test_data_root_reads_the_environment(session: dict, monkeypatch: pytest.Monk
 def test_a_study_checks_all_its_sessions(session: dict) -> None:
     other = copy.deepcopy(session)
     message = told({"study": "two", "sessions": [session, other]})
-    assert "two sessions are called test" in message
+    assert "two sessions or subjects are called test" in message
     other["session"], other["rate_hz"] = "other", -1
     assert "rate_hz" in told({"study": "two", "sessions": [session, other]})
     other["rate_hz"] = 30

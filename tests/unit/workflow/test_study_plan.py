@@ -1,0 +1,99 @@
+"""Who trains and who is held out: a study's people, takes and voices, and everything about them that cannot be."""
+
+import copy
+
+import pytest
+
+from headcap.errors import InputErrors
+from headcap.workflow.plan import load_plan, rehearsed_meshes
+
+TAKES = [{"name": "nod", "kind": "pose"}, {"name": "talk", "kind": "speech"}]
+STUDY = {
+    "study": "necks",
+    "mesh_subjects": [{"subject": name, "rehearse_meshes": {"seed": k, "takes": TAKES}} for k, name in enumerate("abc")],
+    "held_out": ["c"],
+    "groups": [{"name": "both", "people": ["a", "b"]}],
+}
+
+
+def changed(**changes) -> dict:
+    return copy.deepcopy(STUDY) | changes
+
+
+def told(document: dict) -> str:
+    with pytest.raises(InputErrors) as caught:
+        load_plan(document)
+    return str(caught.value)
+
+
+def test_a_study_knows_who_trains_and_whose_voices():
+    plan = load_plan(changed())
+    assert plan.people == ("a", "b", "c")
+    assert plan.training == ("a", "b")
+    assert plan.neck_people == ("a", "b", "c")
+    assert plan.takes("c", "pose") == {"nod": "pose"}
+    assert plan.heard("a") == ("talk",)
+    assert {name: voice.people for name, voice in plan.voices.items()} == {"a": ("a",), "b": ("b",), "both": ("a", "b")}
+    assert not plan.is_session
+
+
+def test_a_session_by_itself_is_a_study_of_its_own_name():
+    plan = load_plan({"session": "solo", "rehearse": {"takes": TAKES}, "train_neck": {"speech": {"iterations": 3}}})
+    assert plan.is_session
+    assert (plan.name, plan.training, list(plan.voices)) == ("solo", ("solo",), ["solo"])
+    assert plan.study.train_neck.speech.iterations == 3
+    silent = load_plan({"session": "solo", "rehearse": {"takes": TAKES}, "train_speech": None})
+    assert (silent.neck_people, silent.voices) == (("solo",), {})
+
+
+def test_without_speech_that_trains_there_is_no_neck():
+    assert load_plan({"session": "solo", "rehearse": {"takes": TAKES[:1]}}).neck_people == ()
+
+
+def test_what_a_rehearsed_subject_says_itself_stands():
+    document = changed()
+    entry = document["mesh_subjects"][0]
+    filled = rehearsed_meshes(load_plan(document).meshes["a"].rehearse_meshes, "a")
+    entry["takes"] = [filled["takes"][1] | {"sound": None}]
+    assert load_plan(document | {"groups": []}).heard("a") == ()
+
+
+@pytest.mark.parametrize(
+    ("document", "message"),
+    [
+        (changed(held_out=["d"]), "held_out: nobody is called d"),
+        (changed(held_out=["a", "b", "c"], groups=[]), "everybody is held out"),
+        (changed(study="a"), "study: a is also a person's name"),
+        (changed(groups=[{"name": "all", "people": ["a", "c"]}]), "groups.all: c is held out"),
+        (changed(groups=[{"name": "all", "people": ["a", "z"]}]), "groups.all: nobody is called z"),
+        (changed(groups=[{"name": "a", "people": ["a"]}]), "groups.a: a person has that name"),
+        (changed(groups=[{"name": "x", "people": ["a"]}] * 2), "groups: x is named twice"),
+        (changed(groups=[{"name": "x", "people": ["a"], "coefficients": "tau"}]), "groups.0.coefficients"),
+        (changed(mesh_subjects=STUDY["mesh_subjects"] + STUDY["mesh_subjects"][:1]), "two sessions or subjects are called a"),
+        (changed(mesh_subjects=[], held_out=[], groups=[]), "nobody to work on"),
+    ],
+)
+def test_people_who_cannot_be_are_named(document, message):
+    assert message in told(document)
+
+
+def test_wrong_subjects_are_told_by_key():
+    document = changed()
+    document["mesh_subjects"][1]["rehearse_meshes"] = {"sead": 3, "takes": TAKES}
+    assert "mesh_subjects.1.rehearse_meshes.sead: unknown key" in told(document)
+    document = changed()
+    document["mesh_subjects"][0]["limits"] = {"neck.pose": 1.0}
+    assert "a, limits: no figure is called neck.pose" in told(document)
+    document = changed()
+    document["mesh_subjects"][0]["rehearse_meshes"]["takes"] = TAKES + TAKES[:1]
+    assert "names must differ" in told(document)
+
+
+def test_files_that_are_not_there_are_named(tmp_path):
+    takes = [{"name": "talk", "kind": "speech", "sequence": str(tmp_path / "talk.json"), "sound": str(tmp_path / "talk.wav")}]
+    entry = {"subject": "own", "template": str(tmp_path / "template.npz"), "takes": takes}
+    (tmp_path / "talk.json").touch()
+    message = told(changed(mesh_subjects=[*STUDY["mesh_subjects"], entry]))
+    assert f"own.template: {tmp_path / 'template.npz'} is not there" in message
+    assert "talk.wav is not there" in message
+    assert "talk.json" not in message
