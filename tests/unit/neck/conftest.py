@@ -24,7 +24,6 @@ from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.voice_training import VoiceTraining, train_voice
 from headcap.speech import RATE_HZ
 from headcap.speech.take_sound import TakeSound
-from headcap.sync.offsets import TimeOffsets
 from headcap.synthetic.articulation import speak as speak_tracks
 from headcap.synthetic.voice import synthesise
 
@@ -126,8 +125,7 @@ def heard_take(name: str, seed: int, larynx_noise: float = 0.05) -> tuple[TakeFi
     errors = np.zeros(len(time_s))
     errors_mm = {"base": errors, "expression": errors, "full": errors}
     fit = TakeFit(name, "speech", time_s, speech, np.zeros((len(time_s), 2, 3)), np.zeros((len(time_s), 0)), still, errors_mm)
-    offsets = TimeOffsets(name, ("cam",), (0.0,), (0.0,), (1.0,), ("clap",))
-    return fit, TakeSound(name, "cam", samples, 0.0, 30.0, offsets)
+    return fit, TakeSound("somebody", name, "cam", samples)
 
 
 @pytest.fixture(scope="session")
