@@ -98,9 +98,25 @@ CATALOGUE: dict[str, FigureKind] = {
     "track.surface_flow_residual": _stated("", "what photographs and textured mesh still differ by, worst frame"),
     "track.last_step_mm": _stated("mm", "rms step of the vertices in the last refinement, worst frame"),
     "neck.larynx_correlation": FigureKind("", "slide of the fitted larynx with the height of the true one, Pearson", 0.8, True),
-    "neck.base_error_mm": _stated("mm", "neck at rest with pose and expression alone, speech takes, mean"),
-    "neck.error_mm": _stated("mm", "the same with larynx and speech blendshapes trained on these takes, mean"),
-    "neck.speech_error_drop_mm": _stated("mm", "what larynx and speech blendshapes take off that error", at_least=True),
+    "neck.larynx_correlation_of_meshes": FigureKind(
+        "", "the same for a subject that entered the study as meshes, which no tracker has blurred", 0.95, True
+    ),
+    "neck.base_error_mm": _stated("mm", "neck with the head model before training, speech takes, mean over vertices and frames"),
+    "neck.error_mm": _stated(
+        "mm", "the same with the whole neck model: larynx, speech blendshapes, pose correctives, expressions"
+    ),
+    "neck.pose_error_drop_mm": _stated(
+        "mm", "what trained pose correctives take off the neck's error in pose takes", 0.0, at_least=True
+    ),
+    "neck.expression_error_drop_mm": _stated(
+        "mm", "what trained pose correctives and expressions take off it in expression takes", 0.0, at_least=True
+    ),
+    "neck.speech_error_drop_mm": _stated(
+        "mm", "what larynx and speech blendshapes take off it in speech takes", 0.0, at_least=True
+    ),
+    "neck.larynx_part_mm": _stated("mm", "by how much the error grows with the larynx held at rest", 0.0, at_least=True),
+    "neck.speech_part_mm": _stated("mm", "by how much the error grows without speech blendshapes", 0.0, at_least=True),
+    "neck.skipped_frames": _stated("", "frames whose mesh was not finite, left aside"),
     "neck.slide_range_mm": _stated("mm", "how far the larynx slid, 5th to 95th percentile"),
     "speech.phi_error": _stated("mm", "weights of the speech blendshapes from sound left out of training, mean length of error"),
     "speech.phi_error_of_mean": _stated("mm", "the same of predicting the mean of the frames trained on"),
