@@ -28,10 +28,10 @@ repair_locks()
 
 
 wildcard_constraints:
-    study="[A-Za-z0-9_-]+",
-    session="[A-Za-z0-9_-]+",
-    person="[A-Za-z0-9_-]+",
-    voice="[A-Za-z0-9_-]+",
+    study=PLAN.name,
+    session=one_of(PLAN.sessions),
+    person=one_of(PLAN.people),
+    voice=one_of(PLAN.voices),
     take="[A-Za-z0-9_-]+",
     recording="[A-Za-z0-9_-]+",
     camera="[A-Za-z0-9_-]+",
@@ -69,5 +69,11 @@ include: "rules/fit_neck.smk"
 include: "rules/hear.smk"
 include: "rules/train_speech.smk"
 include: "rules/evaluate_neck.smk"
+include: "rules/report_neck.smk"
 include: "rules/evaluate.smk"
+
+if not PLAN.is_session:
+
+    include: "rules/evaluate_study.smk"
+
 include: "rules/report.smk"

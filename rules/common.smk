@@ -34,6 +34,11 @@ def read_plan(document):
         raise WorkflowError(f"the session or study cannot be used:\n{error}") from None
 
 
+def one_of(names):
+    """What a wildcard may stand for."""
+    return "|".join(names) or "nobody"
+
+
 def repair_locks():
     """Remove the locks of a killed run; those of a run that is alive stay, and Snakemake refuses."""
     if workflow.is_main_process and hold_run_lock(Path(".snakemake")):
@@ -345,6 +350,10 @@ def training_setting(stage):
     return getattr(PLAN.study, stage).model_dump(mode="json")
 
 
+def person_name(wildcards):
+    return wildcards.person
+
+
 def take_name(wildcards):
     return wildcards.take
 
@@ -448,17 +457,61 @@ def voice(wildcards):
     }
 
 
-def neck_results(wildcards):
-    """What the study's neck model says of everybody, and what voices say of it."""
-    folder = f"results/{PLAN.name}"
+def study_name(wildcards):
+    return PLAN.name
+
+
+def neck_fits(wildcards):
+    """What the study's neck model says of everybody."""
+    folder = f"results/{PLAN.name}/fit_neck"
+    return [f"{folder}/{person}/fits.npz" for person in PLAN.neck_people]
+
+
+def voice_errors(wildcards):
+    """How well each voice's regressor does on what it did not hear."""
+    folder = f"results/{PLAN.name}/train_speech"
+    return [f"{folder}/{name}.errors.json" for name in PLAN.voices]
+
+
+def study_parts(wildcards):
+    """Files of figures that make up the study's."""
+    necks = (
+        [f"results/{PLAN.name}/evaluate_neck/figures.json"] if PLAN.neck_people else []
+    )
+    return [*(f"results/{name}/metrics.json" for name in PLAN.sessions), *necks]
+
+
+def larynx_truths(wildcards):
+    """Where the true larynx of speech takes is known, and nothing of it before `evaluate_neck`."""
+    found = []
+    for person in PLAN.neck_people:
+        for take in PLAN.takes(person, "speech"):
+            entry = {"person": person, "take": take}
+            if person in PLAN.meshes:
+                entry["heights"] = PLAN.meshes[person].take(take).larynx
+            elif PLAN.sessions[person].evaluate.truth:
+                session = PLAN.sessions[person]
+                entry["truth"] = session.path(session.evaluate.truth)
+                entry["offsets"] = f"results/{person}/sync/{take}.json"
+            if "offsets" in entry or entry.get("heights"):
+                found.append(entry)
+    return found
+
+
+def people_limits(wildcards):
+    """Limits of figures by person."""
     return {
-        "fits": [f"{folder}/fit_neck/{person}/fits.npz" for person in PLAN.neck_people],
-        "models": [
-            f"{folder}/fit_neck/{person}/model.npz" for person in PLAN.neck_people
-        ],
-        "errors": [f"{folder}/train_speech/{name}.errors.json" for name in PLAN.voices],
-        "regressors": [f"{folder}/train_speech/{name}.npz" for name in PLAN.voices],
+        person: {
+            figure: limit
+            for figure, limit in PLAN.limits(person).items()
+            if figure.startswith("neck.")
+        }
+        for person in PLAN.neck_people
     }
+
+
+def recorded_people(wildcards):
+    return list(PLAN.sessions)
 
 
 def study_results():

@@ -1,7 +1,7 @@
 """
 The sound of each speech take: of a session's from the camera that heard the voice best, of mesh subjects from their file.
 
-INPUTS:   ingested, offsets, sequence, clapper = recordings of the take, their start times, moments of its frames, and each
+INPUTS:   ingested, offsets, timeline, clapper = recordings of the take, their start times, moments of its frames, and each
                                                  camera's lag of sound behind picture
 OUTPUTS:  sound = results/{session}/hear/{take}.npz or results/{person}/hear_meshes/{take}.npz
 """
@@ -12,7 +12,7 @@ rule hear:
     input:
         ingested="results/{session}/ingest/{take}.json",
         offsets="results/{session}/sync/{take}.json",
-        sequence="results/{session}/track/{take}/sequence.json",
+        timeline="results/{session}/sync/{take}.timeline.json",
         clapper="results/{session}/sync/board/clapper.json",
     output:
         sound="results/{session}/hear/{take}.npz",
@@ -23,6 +23,7 @@ rule hear:
     resources:
         mem_mb=1500,
     params:
+        person=setting("session"),
         source=source("hear"),
     script:
         "../pipeline/hear.py"
@@ -41,6 +42,7 @@ rule hear_meshes:
     resources:
         mem_mb=1000,
     params:
+        person=person_name,
         take=take_name,
         recording=mesh_sound,
         source=source("hear_meshes"),

@@ -53,6 +53,12 @@ def load_metrics(path: Path | str) -> tuple[Figure, ...]:
     return tuple(Figure(**figure) for figure in load_json(path, KIND, SCHEMA)["figures"])
 
 
+def join_metrics(paths: Iterable[Path]) -> list[Figure]:
+    """Figures of several files in a row, each of a name, session and take once; raises `ArtifactError`."""
+    figures = [figure for path in paths for figure in load_metrics(path)]
+    return list({(figure.name, figure.session, figure.take): figure for figure in figures}.values())
+
+
 def describe(figure: Figure) -> str:
     """One line for a terminal: value, unit, limit and verdict."""
     value = "not measured" if figure.value is None else f"{figure.value:.4g} {figure.unit}".rstrip()

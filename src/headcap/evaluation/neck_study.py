@@ -170,14 +170,18 @@ class NeckStudy:
         larynx = tuple(row for _, _, rows in parts for row in rows)
         return cls(name, tuple(row for row, _, _ in parts), ablation, larynx, tuple(regressors))
 
-    def figures(self, settings: EvaluateSettings) -> list[Figure]:
-        """Every row as figures, `session` naming the subject; limits hold for held-out subjects, those of the larynx for all."""
+    def figures(self, settings: EvaluateSettings, limits: Mapping[str, Mapping[str, float]] | None = None) -> list[Figure]:
+        """Every row as figures, `session` naming the subject; limits hold for held-out subjects, those of the larynx for all.
+
+        `limits` by subject and figure go before those of `settings`.
+        """
         out = []
+        own = {row.subject: settings.with_limits((limits or {}).get(row.subject, {})) for row in self.drops}
         for row in self.drops:
             values = {"pose": row.pose_mm, "expression": row.expression_mm, "speech": row.speech_mm}
             named = {f"neck.{stage}_error_drop_mm": value for stage, value in values.items()}
             named["neck.skipped_frames"] = float(row.skipped)
-            out += _figures(named, row.subject, settings, held=row.held_out)
+            out += _figures(named, row.subject, own[row.subject], held=row.held_out)
         for row in self.ablation:
             named = {
                 "neck.base_error_mm": row.base_mm,
@@ -185,11 +189,11 @@ class NeckStudy:
                 "neck.larynx_part_mm": row.without_larynx_mm - row.full_mm,
                 "neck.speech_part_mm": row.without_speech_mm - row.full_mm,
             }
-            out += _figures(named, row.subject, settings, held=row.held_out)
+            out += _figures(named, row.subject, own[row.subject], held=row.held_out)
         for row in self.larynx:
             name = "neck.larynx_correlation" if row.recorded else "neck.larynx_correlation_of_meshes"
             value = math.nan if row.correlation is None else row.correlation
-            out.append(make_figure(name, value, session=row.subject, take=row.take, settings=settings))
+            out.append(make_figure(name, value, session=row.subject, take=row.take, settings=own[row.subject]))
         return out
 
     def save(self, path: Path | str) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from headcap.evaluation.catalogue import CATALOGUE, limit_factor
@@ -41,6 +43,10 @@ class EvaluateSettings(BaseModel):
         if name in self.limits:
             return self.limits[name]
         return CATALOGUE[name].limit if name in CATALOGUE else None
+
+    def with_limits(self, limits: Mapping[str, float | None]) -> EvaluateSettings:
+        """The same with some limits of its own; raises `ValidationError` for a figure that nobody knows."""
+        return EvaluateSettings.model_validate(self.model_dump() | {"limits": self.limits | dict(limits)})
 
     def at_pixel(self, pixel_mm: float | None) -> EvaluateSettings:
         """The same with default limits as a rig of this pixel on the skin is held to; limits set here stay as they are."""

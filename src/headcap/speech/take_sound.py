@@ -76,6 +76,12 @@ class TakeSound:
         return cls(samples=arrays["samples"], **meta)
 
 
+def recorded_sound(person: str, take: str, path: Path | str) -> TakeSound:
+    """The sound of one recording whose clock is that of the take's frames; raises `InputError` where nothing can be read of it."""
+    samples, start_s = read_speech(path)
+    return TakeSound(person, take, Path(path).stem, samples, first_sample_s=start_s, clarity_db=clarity_db(samples))
+
+
 def clearest_sound(
     person: str,
     take: IngestedTake,
