@@ -7,7 +7,7 @@ Sound at 16 kHz becomes 64 audio frames around each visual frame; each has an al
 from headcap.speech.features import FeatureSet, SpeechFeatures, read_speech, speech_features
 from headcap.speech.framing import RATE_HZ, centres_at, visual_centres
 from headcap.speech.level import speech_level
-from headcap.speech.pitch import PitchStream, PitchTrack, track_pitch
+from headcap.speech.pitch import PitchStream, PitchTrack, speaker_pitch, track_pitch
 from headcap.speech.regressor import SpeechCoefficients, SpeechRegressor
 from headcap.speech.settings import FeatureSettings, PitchSettings, RidgeSettings
 from headcap.speech.stream import FeatureStream
@@ -29,6 +29,7 @@ __all__ = [
     "SpeechTake",
     "centres_at",
     "read_speech",
+    "speaker_pitch",
     "speech_errors",
     "speech_features",
     "speech_level",

@@ -16,11 +16,11 @@ from headcap.speech.articulation import articulation_features, cosines
 from headcap.speech.framing import CONTEXT_FRAMES, CONTEXT_SAMPLES, FRAME_SAMPLES, RATE_HZ, frame_starts
 from headcap.speech.level import check_samples, speech_level
 from headcap.speech.lpc import linear_prediction
-from headcap.speech.pitch import PitchTrack, track_pitch
+from headcap.speech.pitch import PitchTrack, speaker_pitch, track_pitch
 from headcap.speech.settings import FeatureSettings, PitchSettings
 
 _FRAMES_AT_A_TIME = 16384  # what is computed on the way is ten times what is kept
-_PAUSE_BELOW_SPEECH = 10 ** (-30 / 20)
+_PAUSE_BELOW_SPEECH, _SILENCE_BELOW_SPEECH = 10 ** (-30 / 20), 10 ** (-20 / 20)
 
 
 class FeatureSet(StrEnum):
@@ -29,7 +29,18 @@ class FeatureSet(StrEnum):
     PAPER = "paper"
     """64 frames of the filter (2048) and of the source (192), eq. 21 to 23."""
     POOLED = "pooled"
-    """Cosine courses over the 64 frames of articulation features (50 each) and of loudness, pitch and voicing (4)."""
+    """Cosine courses over the 64 frames: of articulation features (50) for phi, and of these beside loudness, pitch and voicing
+    (4) for the larynx, which a speaker also lowers for rounded vowels and raises for spread ones (Hoole and Kroos 1998)."""
+
+
+@dataclass(frozen=True)
+class Speaker:
+    """What a voice is measured against."""
+
+    level: float
+    """Root mean square of its active speech, full scale 1."""
+    pitch_hz: float
+    """Its median pitch."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +54,7 @@ class SpeechFeatures:
     articulation: NDArray[np.float32]
     """(u, 50), see `articulation_features`."""
     prosody: NDArray[np.float32]
-    """(u, 4): log of gain and of rms above the pause, log pitch 0 to 1, voiced 1 or 0."""
+    """(u, 4): log of gain and of rms above the pause, octaves of pitch above the speaker's (0 unvoiced), voiced 1 or 0."""
     windows: NDArray[np.int64]
     """(n, 64) audio frames of each visual frame."""
     settings: FeatureSettings
@@ -66,10 +77,17 @@ class SpeechFeatures:
         return self._pooled(self.articulation)
 
     def source_windows(self, feature_set: FeatureSet = FeatureSet.PAPER) -> NDArray[np.float32]:
-        """What the larynx is regressed from: bbar of eq. 22 and 23 (n, 192), or pooled (n, 4 orders)."""
+        """What the larynx is regressed from: bbar of eq. 22 and 23 (n, 192), or pooled (n, 54 orders)."""
         if feature_set is FeatureSet.PAPER:
             return _rows(self.sources[self.windows])
-        return self._pooled(self.prosody)
+        return np.hstack([self._pooled(self.prosody), self._pooled(self.articulation)])
+
+    @property
+    def pauses(self) -> NDArray[np.bool_]:
+        """(n,) visual frames that hear a pause: 20 dB below active speech all over the middle half of their window, 0.26 s."""
+        quiet = np.log1p((_SILENCE_BELOW_SPEECH / _PAUSE_BELOW_SPEECH) ** 2)
+        middle = slice(CONTEXT_FRAMES // 4, CONTEXT_FRAMES - CONTEXT_FRAMES // 4)
+        return (self.prosody[:, 1] < quiet)[self.windows[:, middle]].all(axis=1)
 
     def blocks(self, frames: int = 1024) -> Iterator[SpeechFeatures]:
         """The same features in parts of so many visual frames, for windows that would not fit memory at once."""
@@ -96,12 +114,17 @@ def read_speech(path: Path | str) -> tuple[NDArray[np.float32], float]:
 
 
 def speech_features(
-    samples: NDArray, centres: NDArray[np.int64], settings: FeatureSettings | None = None, level: float | None = None
+    samples: NDArray,
+    centres: NDArray[np.int64],
+    settings: FeatureSettings | None = None,
+    level: float | None = None,
+    pitch_hz: float | None = None,
 ) -> SpeechFeatures:
     """Features of visual frames centred on samples number `centres` (n,) of a recording (m,) at 16 kHz.
 
     `centres` come from `visual_centres` or `centres_at`; around the recording is silence. `level` is the rms of active speech
-    in units of the samples and is measured where None, so a recording's volume does not matter. Paper sections 6.1 and 7.
+    in units of the samples and `pitch_hz` the speaker's median pitch; both are measured where None, so a recording's volume does
+    not matter, nor, to pooled features, how low a voice is: a larynx moves with its own pitch. Paper sections 6.1 and 7.
     Raises `InputError` for sound shorter than one window of 520 ms, samples that are no numbers, or frames none of which
     hears any sound.
     """
@@ -116,7 +139,9 @@ def speech_features(
         )
     level = speech_level(samples) if level is None else level
     unique, windows = np.unique(starts, return_inverse=True)
-    frames = frame_features(samples, unique, track_pitch(samples, settings.pitch, level), settings.pitch, level)
+    pitch = track_pitch(samples, settings.pitch, level)
+    speaker = Speaker(level, speaker_pitch(pitch) if pitch_hz is None else pitch_hz)
+    frames = frame_features(samples, unique, pitch, settings.pitch, speaker)
     return SpeechFeatures(*frames, windows.reshape(starts.shape), settings)
 
 
@@ -132,7 +157,7 @@ def check_length(samples: NDArray) -> NDArray:
 
 
 def frame_features(
-    samples: NDArray, starts: NDArray[np.int64], pitch: PitchTrack, settings: PitchSettings, level: float, offset: int = 0
+    samples: NDArray, starts: NDArray[np.int64], pitch: PitchTrack, settings: PitchSettings, speaker: Speaker, offset: int = 0
 ) -> tuple[NDArray[np.float32], ...]:
     """Filters (u, 32), sources (u, 3), articulation (u, 50) and prosody (u, 4) of audio frames that begin at `starts` (u,).
 
@@ -140,22 +165,22 @@ def frame_features(
     """
     samples = np.ascontiguousarray(samples, np.float64)  # once, and not for each part
     parts = [starts[k : k + _FRAMES_AT_A_TIME] for k in range(0, max(len(starts), 1), _FRAMES_AT_A_TIME)]
-    found = [_frame_features(samples, part, pitch, settings, level, offset) for part in parts]
+    found = [_frame_features(samples, part, pitch, settings, speaker, offset) for part in parts]
     return tuple(np.concatenate(arrays) for arrays in zip(*found, strict=True))
 
 
 def _frame_features(
-    samples: NDArray, starts: NDArray[np.int64], pitch: PitchTrack, settings: PitchSettings, level: float, offset: int
+    samples: NDArray, starts: NDArray[np.int64], pitch: PitchTrack, settings: PitchSettings, speaker: Speaker, offset: int
 ) -> tuple[NDArray[np.float32], ...]:
     prediction = linear_prediction(samples, starts, offset)
     pitch_hz = pitch.at(starts + FRAME_SAMPLES // 2)
     voiced = pitch_hz > 0
-    low, high = settings.lowest_hz, settings.highest_hz
+    low, high, level = settings.lowest_hz, settings.highest_hz, speaker.level
     linear = np.clip((pitch_hz - low) / (high - low), 0, 1)
-    logarithmic = np.log(np.clip(pitch_hz, low, high) / low) / np.log(high / low)
+    octaves = np.where(voiced, np.log2(np.clip(pitch_hz, low, high) / speaker.pitch_hz), 0.0)
     loudness = (np.log1p((value / (level * _PAUSE_BELOW_SPEECH)) ** 2) for value in (prediction.gain, np.sqrt(prediction.power)))
     sources = np.column_stack([prediction.gain / level, linear, voiced])
-    prosody = np.column_stack([*loudness, logarithmic, voiced])
+    prosody = np.column_stack([*loudness, octaves, voiced])
     return (
         prediction.filters.astype(np.float32),
         sources.astype(np.float32),

@@ -13,6 +13,8 @@ from headcap.speech.level import NOMINAL_LEVEL, check_samples, speech_level
 from headcap.speech.pitch_candidates import PitchCandidates
 from headcap.speech.settings import PitchSettings
 
+NOMINAL_PITCH_HZ = 150.0
+"""A speaker's pitch where it was not measured: between a man's usual 120 and a woman's 200."""
 _COSTS_STEP_S = 0.01  # Boersma 1993 gives costs for steps of this length
 
 
@@ -55,6 +57,12 @@ def track_pitch(samples: NDArray, settings: PitchSettings | None = None, level: 
     stream = PitchStream(settings, speech_level(samples) if level is None else level)
     found = (stream.push(samples), stream.finish())
     return PitchTrack(np.concatenate([part.pitch_hz for part in found]))
+
+
+def speaker_pitch(track: PitchTrack) -> float:
+    """Median pitch of what is voiced, hertz; `NOMINAL_PITCH_HZ` where nothing is."""
+    voiced = track.pitch_hz[track.pitch_hz > 0]
+    return float(np.median(voiced)) if len(voiced) else NOMINAL_PITCH_HZ
 
 
 class PitchStream:

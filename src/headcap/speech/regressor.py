@@ -14,7 +14,7 @@ from headcap.speech.features import FeatureSet, SpeechFeatures
 from headcap.speech.ridge import LinearMap
 from headcap.speech.settings import FeatureSettings
 
-KIND, SCHEMA = "speech_regressor", 1
+KIND, SCHEMA = "speech_regressor", 2
 _PARTS = ("weights", "bias", "penalties", "mean")
 
 
@@ -46,6 +46,9 @@ class SpeechRegressor:
     female group, whose larynx does not show."""
     group: str = ""
     """Whose voices it was trained on."""
+    from_silence: bool = False
+    """True where it tells how far a person is from their own silence, for which the neutral head stands (phi = 0, tau = 0,
+    alpha = 1); False where it tells coefficients as they were fitted to the people it was trained on."""
     figures: dict[str, float] = field(default_factory=dict)
     """What training counted and measured."""
 
@@ -54,6 +57,11 @@ class SpeechRegressor:
             raise ValueError("a regressor belongs to a model version")
         if self.larynx is not None and len(self.larynx.bias) != 2:
             raise ValueError(f"the larynx has tau and alpha, not {len(self.larynx.bias)} coefficients")
+
+    @property
+    def drives(self) -> tuple[str, ...]:
+        """What it predicts; the larynx rests where that is phi alone."""
+        return ("phi",) if self.larynx is None else ("phi", "tau", "alpha")
 
     def check_model(self, model_version: str) -> None:
         """Raises `InputError` where the neck model is not the one that this regressor was trained for."""
@@ -91,7 +99,7 @@ class SpeechRegressor:
         return phi, self.larynx(features.source_windows(self.feature_set))
 
     def save(self, path: Path | str) -> None:
-        """Write as npz artifact `headcap.speech_regressor/1`."""
+        """Write as npz artifact `headcap.speech_regressor/2`."""
         maps = {"speech": self.speech} | ({"larynx": self.larynx} if self.larynx else {})
         arrays = {f"{name}/{part}": getattr(found, part) for name, found in maps.items() for part in _PARTS}
         meta = {
@@ -99,6 +107,7 @@ class SpeechRegressor:
             "feature_set": self.feature_set.value,
             "features": self.features.model_dump(mode="json"),
             "group": self.group,
+            "from_silence": self.from_silence,
             "figures": self.figures,
         }
         save_arrays(path, KIND, SCHEMA, arrays, meta)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpstrf
 
 from headcap.errors import InputError
 from headcap.speech.moments import Moments, pooled
@@ -35,6 +36,10 @@ PAPER_SPEECH = RidgeForm(bias=False, standardise=False, penalty="common")
 PAPER_LARYNX = RidgeForm(bias=True, standardise=False, penalty="own")
 """R_tau and R_alpha, two regressors and so two penalties (eq. 22, 23)."""
 IMPROVED = RidgeForm(bias=True, standardise=True, penalty="leaning")
+
+
+_FEW_FRAMES = 0.6
+"""Frames for each input up to which the frames' own matrix is the quicker one to solve for."""
 
 
 @dataclass(frozen=True)
@@ -107,18 +112,9 @@ def fold_errors(takes: Sequence[Moments], form: RidgeForm, penalties: NDArray[np
 
 
 def held_out(takes: Sequence[Moments], form: RidgeForm, settings: RidgeSettings | None = None) -> HeldOut:
-    """Errors on each take of `cross_validated` of all others. Raises `InputError` for fewer than three takes.
-
-    Leaving takes i and j out serves i's choice of the penalty and j's alike.
-    """
+    """Errors on each take of `cross_validated` of all others. Raises `InputError` for fewer than three takes."""
     _need(takes, 3, "errors on held-out takes with a penalty from the others")
-    penalties = np.array((settings or RidgeSettings()).penalties)
-    curves = np.zeros((len(takes), len(penalties) + 1, takes[0].outputs))
-    for i, j in combinations(range(len(takes)), 2):
-        on_i, on_j = _errors(_others(takes, i, j), [takes[i], takes[j]], form, penalties)
-        curves[i] += on_j
-        curves[j] += on_i
-    maps = [fit(_others(takes, k), form, _choose(curves[k], form, penalties)) for k in range(len(takes))]
+    maps = left_out_maps([[take] for take in takes], form, settings)
     none = np.zeros((takes[0].inputs, takes[0].outputs))
     return HeldOut(
         np.array([take.squared_error(found.weights, found.bias) for take, found in zip(takes, maps, strict=True)]),
@@ -126,6 +122,28 @@ def held_out(takes: Sequence[Moments], form: RidgeForm, settings: RidgeSettings 
         np.array([take.frames for take in takes]),
         np.array([found.penalties for found in maps]),
     )
+
+
+def left_out_maps(
+    units: Sequence[Sequence[Moments]], form: RidgeForm, settings: RidgeSettings | None = None
+) -> list[LinearMap]:
+    """For each unit, which is the parts of a person or a take alone, the ridge regression of all others.
+
+    Penalties are chosen by leaving one of the others out, so that the unit has no part in them; leaving i and j out serves i's
+    choice and j's alike. Of two units the other has the parts to leave out. Raises `InputError` for one unit, or two of which one
+    has a single part.
+    """
+    _need(units, 2, "regressors that leave one out")
+    if len(units) == 2:
+        return [cross_validated(units[1 - k], form, settings) for k in range(2)]
+    whole = [pooled(unit) for unit in units]
+    penalties = np.array((settings or RidgeSettings()).penalties)
+    curves = np.zeros((len(whole), len(penalties) + 1, whole[0].outputs))
+    for i, j in combinations(range(len(whole)), 2):
+        on_i, on_j = _errors(_others(whole, i, j), [whole[i], whole[j]], form, penalties)
+        curves[i] += on_j
+        curves[j] += on_i
+    return [fit(_others(whole, k), form, _choose(curves[k], form, penalties)) for k in range(len(whole))]
 
 
 def _path(moments: Moments, form: RidgeForm, penalties: NDArray) -> tuple[NDArray, list[NDArray]]:
@@ -137,13 +155,32 @@ def _path(moments: Moments, form: RidgeForm, penalties: NDArray) -> tuple[NDArra
     varies = power > 1e-12 * moments.frames * (1e-12 + moments.mean[: moments.inputs] ** 2)
     scale = np.where(varies, scale, np.inf) if form.standardise else np.where(varies, 1.0, np.inf)
     gram, cross = gram / scale[:, None] / scale, cross / scale[:, None]
-    unit = np.trace(gram) / len(gram) or 1.0
-    found = []
-    for penalty in penalties:
+    shifts = penalties * (np.trace(gram) / len(gram) or 1.0)
+    solve = _few_frames if moments.frames < _FEW_FRAMES * len(gram) else _many_frames
+    return penalties, [weights / scale[:, None] for weights in solve(gram, cross, shifts)]
+
+
+def _many_frames(gram: NDArray, cross: NDArray, shifts: NDArray) -> Iterator[NDArray]:
+    """(gram + shift I)^-1 cross for each shift."""
+    for shift in shifts:
         shifted = gram.copy()
-        shifted.flat[:: len(gram) + 1] += penalty * unit
-        found.append(cho_solve(cho_factor(shifted, overwrite_a=True, check_finite=False), cross) / scale[:, None])
-    return penalties, found
+        shifted.flat[:: len(gram) + 1] += shift
+        yield cho_solve(cho_factor(shifted, overwrite_a=True, check_finite=False), cross)
+
+
+def _few_frames(gram: NDArray, cross: NDArray, shifts: NDArray) -> Iterator[NDArray]:
+    """The same where a gram of fewer frames than inputs is L L^T with few columns, by Woodbury's identity.
+
+    (L L^T + s I)^-1 C = (C - L (L^T L + s I)^-1 L^T C) / s, and L^T L is diagonalised once for all shifts.
+    """
+    factor, order, rank, _ = dpstrf(gram, lower=1)
+    tall = np.empty((len(gram), rank))
+    tall[order - 1] = np.tril(factor)[:, :rank]
+    values, turn = np.linalg.eigh(tall.T @ tall)
+    turned = tall @ turn
+    carried = turned.T @ cross
+    for shift in shifts:
+        yield (cross - turned @ (carried / (values + shift)[:, None])) / shift
 
 
 def _bias(moments: Moments, form: RidgeForm, weights: NDArray) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.speech.features import SpeechFeatures, check_length, frame_features
+from headcap.speech.features import Speaker, SpeechFeatures, check_length, frame_features
 from headcap.speech.framing import (
     CONTEXT_SAMPLES,
     FRAME_SAMPLES,
@@ -17,7 +17,7 @@ from headcap.speech.framing import (
     visual_centres,
 )
 from headcap.speech.level import NOMINAL_LEVEL, check_samples
-from headcap.speech.pitch import PitchStream, PitchTrack
+from headcap.speech.pitch import NOMINAL_PITCH_HZ, PitchStream, PitchTrack
 from headcap.speech.settings import FeatureSettings
 
 # from a visual frame's centre to the middle of its last audio frame
@@ -29,14 +29,20 @@ class FeatureStream:
 
     A visual frame is ready about 0.37 s after its moment: half its window, and what pitch looks ahead. Nothing is computed
     twice and memory does not grow. Sound is mono at 16 kHz; `level` is the rms of active speech in its units, as
-    `speech_level` measures it on an earlier recording of the same microphone. `start_s` is the moment of visual frame 0 on
-    the sound's clock.
+    `speech_level` measures it on an earlier recording of the same microphone, and `pitch_hz` the speaker's median pitch, as
+    `speaker_pitch` finds it. `start_s` is the moment of visual frame 0 on the sound's clock.
     """
 
     def __init__(
-        self, fps: float, settings: FeatureSettings | None = None, *, level: float = NOMINAL_LEVEL, start_s: float = 0.0
+        self,
+        fps: float,
+        settings: FeatureSettings | None = None,
+        *,
+        level: float = NOMINAL_LEVEL,
+        pitch_hz: float = NOMINAL_PITCH_HZ,
+        start_s: float = 0.0,
     ) -> None:
-        self._fps, self._start_s, self._level = fps, start_s, level
+        self._fps, self._start_s, self._speaker = fps, start_s, Speaker(level, pitch_hz)
         self._settings = settings or FeatureSettings()
         self._pitch_stream = PitchStream(self._settings.pitch, level)
         self._pitch = PitchTrack(np.zeros(0))
@@ -44,7 +50,7 @@ class FeatureStream:
         self._next = 0
         # audio frames that the next visual frame shares with the ones before it
         self._starts = np.zeros(0, np.int64)
-        self._frames = frame_features(self._samples, self._starts, self._pitch, self._settings.pitch, level)
+        self._frames = frame_features(self._samples, self._starts, self._pitch, self._settings.pitch, self._speaker)
 
     def push(self, samples: NDArray) -> SpeechFeatures:
         """Take the next samples (n,) and return the visual frames that they complete, often none.
@@ -87,7 +93,7 @@ class FeatureStream:
     def _compute(self, starts: NDArray[np.int64]) -> None:
         """Add audio frames to the held ones, in order of their beginnings."""
         settings = self._settings.pitch
-        fresh = frame_features(self._samples, starts, self._pitch, settings, self._level, self._offset)
+        fresh = frame_features(self._samples, starts, self._pitch, settings, self._speaker, self._offset)
         starts = np.concatenate([self._starts, starts])
         order = np.argsort(starts)
         self._starts = starts[order]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice, pairwise
 
@@ -11,10 +11,18 @@ from numpy.typing import NDArray
 
 from headcap.errors import InputError
 from headcap.speech.features import FeatureSet, SpeechFeatures
-from headcap.speech.moments import Moments, moments_of
+from headcap.speech.moments import Moments, moments_of, pooled
 from headcap.speech.regressor import SpeechCoefficients, SpeechRegressor
-from headcap.speech.ridge import IMPROVED, PAPER_LARYNX, PAPER_SPEECH, cross_validated
-from headcap.speech.settings import RidgeSettings
+from headcap.speech.ridge import (
+    IMPROVED,
+    PAPER_LARYNX,
+    PAPER_SPEECH,
+    LinearMap,
+    RidgeForm,
+    cross_validated,
+    left_out_maps,
+)
+from headcap.speech.settings import FeatureSettings, RidgeSettings
 
 
 @dataclass(frozen=True)
@@ -64,6 +72,31 @@ class SpeechErrors:
     alpha_of_mean: float | None = None
 
 
+@dataclass(frozen=True)
+class TakeMoments:
+    """What regressions need of a take's frames; their number does not show in its size."""
+
+    name: str
+    features: FeatureSettings
+    frames: int
+    """Visual frames, those without coefficients included."""
+    voiced_share: float
+    speech: Moments
+    """Filter windows and phi."""
+    larynx: Moments | None
+    """Source windows, and tau and alpha."""
+
+
+def take_moments(take: SpeechTake, feature_set: FeatureSet, settings: RidgeSettings) -> TakeMoments:
+    """Sums over a take's frames, whose windows are made in blocks; raises `InputError` where no frame has coefficients."""
+    speech = _moments(take, take.coefficients.phi, SpeechFeatures.filter_windows, feature_set, settings)
+    larynx = None
+    if take.larynx is not None:
+        larynx = _moments(take, take.larynx, SpeechFeatures.source_windows, feature_set, settings)
+    features = take.features
+    return TakeMoments(take.name, features.settings, len(features), features.voiced_share, speech, larynx)
+
+
 def train_speech_regressor(
     takes: Iterable[SpeechTake],
     model_version: str,
@@ -82,31 +115,58 @@ def train_speech_regressor(
     coefficients, too few frames.
     """
     settings = settings or RidgeSettings()
-    speech, larynx, voiced, settings_seen = [], [], [], []
-    for take in takes_or_stretches(takes, settings.parts_of_one_take):
-        settings_seen.append(take.features.settings)
-        voiced.append((take.features.voiced_share, len(take.features)))
-        speech.append(_moments(take, take.coefficients.phi, SpeechFeatures.filter_windows, feature_set, settings))
-        if take.larynx is not None:
-            larynx.append(_moments(take, take.larynx, SpeechFeatures.source_windows, feature_set, settings))
-        _check_alike(take, speech, larynx, settings_seen)
-    paper = feature_set is FeatureSet.PAPER
-    share, weight = np.array(voiced).T
-    figures = {
-        "takes": float(len(speech)),
-        "frames": float(sum(part.frames for part in speech)),
-        "skipped_frames": float(sum(part.skipped for part in speech)),
-        "voiced_share": float(np.average(share, weights=weight)),
-    }
-    return SpeechRegressor(
-        model_version,
-        feature_set,
-        settings_seen[0],
-        cross_validated(speech, PAPER_SPEECH if paper else IMPROVED, settings),
-        cross_validated(larynx, PAPER_LARYNX if paper else IMPROVED, settings) if larynx else None,
-        group,
-        figures,
+    takes = takes_or_stretches(takes, settings.parts_of_one_take)
+    return regressor_of(
+        [[take_moments(take, feature_set, settings)] for take in takes], model_version, feature_set, group=group, settings=settings
     )
+
+
+def regressor_of(
+    units: Sequence[Sequence[TakeMoments]],
+    model_version: str,
+    feature_set: FeatureSet,
+    *,
+    group: str = "",
+    settings: RidgeSettings | None = None,
+) -> SpeechRegressor:
+    """The regressor of all units, each the parts of a person or a take; penalties by leaving units out (eq. 21 to 25).
+
+    Of one unit alone its parts are left out. Raises `InputError` for parts of different coefficients, or one part alone.
+    """
+    parts = [part for unit in units for part in unit]
+    _check_alike(parts)
+    speech_form, larynx_form = _forms(feature_set)
+    folds = units if len(units) > 1 else [[part] for part in parts]
+    speech = cross_validated([pooled([part.speech for part in fold]) for fold in folds], speech_form, settings)
+    larynx = None
+    if parts[0].larynx is not None:
+        larynx = cross_validated([pooled([part.larynx for part in fold]) for fold in folds], larynx_form, settings)
+    figures = {
+        "takes": float(len(parts)),
+        "frames": float(sum(part.speech.frames for part in parts)),
+        "skipped_frames": float(sum(part.speech.skipped for part in parts)),
+        "voiced_share": float(np.average([part.voiced_share for part in parts], weights=[part.frames for part in parts])),
+    }
+    return SpeechRegressor(model_version, feature_set, parts[0].features, speech, larynx, group, figures=figures)
+
+
+def left_out_regressors(
+    units: Sequence[Sequence[TakeMoments]], model_version: str, feature_set: FeatureSet, settings: RidgeSettings | None = None
+) -> list[SpeechRegressor]:
+    """For each unit the regressor of all others, its penalties chosen without it; see `ridge.left_out_maps`."""
+    _check_alike([part for unit in units for part in unit])
+    speech_form, larynx_form = _forms(feature_set)
+    speech = left_out_maps([[part.speech for part in unit] for unit in units], speech_form, settings)
+    larynx: list[LinearMap | None] = [None] * len(units)
+    if units[0][0].larynx is not None:
+        larynx = left_out_maps([[part.larynx for part in unit] for unit in units], larynx_form, settings)
+    features = units[0][0].features
+    return [SpeechRegressor(model_version, feature_set, features, *maps) for maps in zip(speech, larynx, strict=True)]
+
+
+def _forms(feature_set: FeatureSet) -> tuple[RidgeForm, RidgeForm]:
+    """Of phi, and of tau and alpha."""
+    return (PAPER_SPEECH, PAPER_LARYNX) if feature_set is FeatureSet.PAPER else (IMPROVED, IMPROVED)
 
 
 def speech_errors(regressor: SpeechRegressor, takes: Iterable[SpeechTake]) -> SpeechErrors:
@@ -177,11 +237,14 @@ def _moments(take: SpeechTake, outputs: NDArray, windows, feature_set: FeatureSe
         raise InputError(f"{take.name}: {error.found}", expected=error.expected, remedy=error.remedy) from error
 
 
-def _check_alike(take: SpeechTake, speech: list[Moments], larynx: list[Moments], settings: list) -> None:
+def _check_alike(parts: Sequence[TakeMoments]) -> None:
     """Raises `InputError` where a take differs from the first in what it holds."""
-    if speech[-1].outputs != speech[0].outputs or len(larynx) not in (0, len(speech)) or settings[-1] != settings[0]:
-        raise InputError(
-            f"{take.name} has other coefficients or feature settings than the takes before it",
-            expected="one neck model's phi in all takes, tau and alpha in all or in none",
-            remedy="Fit all takes with one model and make their features with one setting",
-        )
+    first = parts[0]
+    for part in parts:
+        same = part.speech.outputs == first.speech.outputs and part.features == first.features
+        if not same or (part.larynx is None) != (first.larynx is None):
+            raise InputError(
+                f"{part.name} has other coefficients or feature settings than the takes before it",
+                expected="one neck model's phi in all takes, tau and alpha in all or in none",
+                remedy="Fit all takes with one model and make their features with one setting",
+            )

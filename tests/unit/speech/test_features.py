@@ -26,7 +26,7 @@ def test_windows_have_the_papers_sizes_and_order(speech):
     window = features.filter_windows()[40].reshape(64, 32)
     np.testing.assert_array_equal(window[32], features.filters[features.windows[40, 32]])
     assert features.filter_windows(FeatureSet.POOLED).shape == (60, 300)
-    assert features.source_windows(FeatureSet.POOLED).shape == (60, 24)
+    assert features.source_windows(FeatureSet.POOLED).shape == (60, 24 + 300)
 
 
 def test_audio_frames_that_visual_frames_share_are_held_once(speech):
@@ -123,8 +123,8 @@ def test_too_short_sound_and_sound_of_another_moment_are_refused(speech):
 def test_a_growing_recording_gives_what_the_whole_gives(speech, rng, fps, start_s):
     centres = visual_centres(200, fps, start_s=start_s)
     centres = centres[centres < len(speech)]
-    whole = speech_features(speech, centres, level=0.08)
-    stream, parts, start = FeatureStream(fps, level=0.08, start_s=start_s), [], 0
+    whole = speech_features(speech, centres, level=0.08, pitch_hz=110.0)
+    stream, parts, start = FeatureStream(fps, level=0.08, pitch_hz=110.0, start_s=start_s), [], 0
     while start < len(speech):
         size = int(rng.integers(0, 5000))
         parts.append(stream.push(speech[start : start + size]))
@@ -139,6 +139,28 @@ def test_a_growing_recording_gives_what_the_whole_gives(speech, rng, fps, start_
             np.concatenate([getattr(part, name)(chosen) for part in parts]), getattr(whole, name)(chosen)
         )
     assert [part.first for part in parts] == np.cumsum([0] + [len(part) for part in parts])[:-1].tolist()
+
+
+def test_a_lower_voice_that_says_the_same_has_the_same_pooled_prosody(voice):
+    """The same intonation an octave and a quarter apart; the filter differs by what harmonics sample of it."""
+    centres = visual_centres(110, 30.0)
+    low, high = (speech_features(voice(4.0, pitch_hz, seed=5)[0], centres) for pitch_hz in (100.0, 190.0))
+    both = (low.prosody[:, 3] > 0) & (high.prosody[:, 3] > 0)
+    assert both.mean() > 0.3
+    assert np.median(np.abs(low.prosody - high.prosody)[both, 2]) < 0.02
+    assert np.median(np.abs(low.sources - high.sources)[both, 1]) > 0.2
+    # a voice's own median is where it is measured from
+    voiced = low.prosody[:, 3] > 0
+    assert abs(np.median(low.prosody[voiced, 2])) < 0.03
+
+
+def test_pauses_are_heard_through_the_rooms_noise(speech, rng):
+    """The voice begins at 0.4 s: frames whose middle 0.26 s ends before that hear the room alone."""
+    noisy = speech + 10 ** (-26 / 20) * speech_level(speech) * rng.normal(size=len(speech))
+    for sound in (speech, noisy):
+        pauses = speech_features(sound, visual_centres(110, 30.0)).pauses
+        assert pauses[:8].all()
+        assert not pauses[9:].any()
 
 
 def test_blocks_are_the_same_in_parts(speech):

@@ -3,7 +3,17 @@ import pytest
 
 from headcap.errors import InputError
 from headcap.speech.moments import moments_of, pooled
-from headcap.speech.ridge import IMPROVED, PAPER_LARYNX, PAPER_SPEECH, RidgeForm, cross_validated, fit, fold_errors, held_out
+from headcap.speech.ridge import (
+    IMPROVED,
+    PAPER_LARYNX,
+    PAPER_SPEECH,
+    RidgeForm,
+    cross_validated,
+    fit,
+    fold_errors,
+    held_out,
+    left_out_maps,
+)
 from headcap.speech.settings import RidgeSettings
 
 FORMS = [RidgeForm(bias, standardise, "common") for bias in (False, True) for standardise in (False, True)]
@@ -44,6 +54,35 @@ def test_the_fit_minimises_equation_25(takes, form, penalty):
     weights, bias = _direct(*(np.concatenate(part) for part in zip(*takes, strict=True)), form, penalty)
     np.testing.assert_allclose(found.weights, weights, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(found.bias, bias, rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("penalty", [1e-4, 1.0, 30.0])
+def test_fewer_frames_than_inputs_minimise_it_too(rng, form, penalty):
+    """60 inputs of which one never varies and two are equal, 25 frames: the other way of solving."""
+    x, y = rng.normal(0, 1, (25, 60)) + 2, rng.normal(0, 1, (25, 3))
+    x[:, 7], x[:, 9] = 4.0, x[:, 8]
+    found = fit(moments_of([(x, y)]), form, penalty)
+    keep = np.arange(60) != 7 if form.bias else np.arange(60) >= 0
+    # the column that is left out still counts among the inputs over which power is averaged
+    weights, bias = _direct(x[:, keep], y, form, penalty * keep.sum() / 60)
+    np.testing.assert_allclose(found.weights[keep], weights, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(found.bias, bias, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_left_out_maps_know_nothing_of_what_they_leave_out(takes, form):
+    """Of three people with takes of their own: the map that leaves one out is the cross-validated map of the two others."""
+    a, b, c, d = _moments(takes)
+    found = left_out_maps([[a, b], [c], [d]], form)
+    for k, others in enumerate(([c, d], [pooled([a, b]), d], [pooled([a, b]), c])):
+        alone = cross_validated(others, form)
+        np.testing.assert_array_equal(found[k].penalties, alone.penalties)
+        np.testing.assert_allclose(found[k].weights, alone.weights, rtol=1e-9)
+    # of two, the other's takes choose the penalty
+    np.testing.assert_array_equal(left_out_maps([[a, b], [c, d]], form)[0].weights, cross_validated([c, d], form).weights)
+    with pytest.raises(InputError, match="1 take for"):
+        left_out_maps([[a, b], [c]], form)
 
 
 def test_blocks_and_skipped_frames_do_not_matter(takes, rng):

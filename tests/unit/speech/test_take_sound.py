@@ -67,7 +67,7 @@ def test_a_sound_returns_as_it_was_saved(tmp_path, speech):
 
 def test_another_kind_or_version_of_file_is_refused(tmp_path):
     save_arrays(tmp_path / "a.npz", "take_sound", 2, {"samples": np.zeros(3)}, {})
-    with pytest.raises(ArtifactError, match="take_sound/2, expected headcap.take_sound/1"):
+    with pytest.raises(ArtifactError, match=r"take_sound/2, expected headcap\.take_sound/1"):
         TakeSound.load(tmp_path / "a.npz")
 
 

@@ -11,9 +11,11 @@ from headcap.speech import (
     SpeechCoefficients,
     SpeechRegressor,
     SpeechTake,
+    speaker_pitch,
     speech_errors,
     speech_features,
     speech_level,
+    track_pitch,
     train_speech_regressor,
     visual_centres,
 )
@@ -101,9 +103,9 @@ def test_features_of_other_settings_are_refused(regressor, voice):
 
 def test_a_stream_drives_the_model_as_the_whole_recording_does(regressor, voice):
     sound = voice(3.0, 125.0, seed=9)[0]
-    level = speech_level(sound)
-    whole = regressor.coefficients(speech_features(sound, visual_centres(90, FPS), level=level), "abc123")
-    stream, parts = FeatureStream(FPS, level=level), []
+    level, pitch_hz = speech_level(sound), speaker_pitch(track_pitch(sound))
+    whole = regressor.coefficients(speech_features(sound, visual_centres(90, FPS)), "abc123")
+    stream, parts = FeatureStream(FPS, level=level, pitch_hz=pitch_hz), []
     for start in range(0, len(sound), 1600):
         parts.append(regressor.coefficients(stream.push(sound[start : start + 1600]), "abc123"))
     parts.append(regressor.coefficients(stream.finish(), "abc123"))
