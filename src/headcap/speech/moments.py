@@ -24,6 +24,8 @@ class Moments:
     """(p + q, p + q) sum of products of deviations from the mean."""
     skipped: int = 0
     """Frames left out because an input or output was no number."""
+    dimensions: int | None = None
+    """Of the space in which inputs are coordinates of a part; None: p."""
 
     @property
     def outputs(self) -> int:
@@ -36,6 +38,15 @@ class Moments:
         if not centred:
             products = products + self.frames * np.outer(self.mean[: self.inputs], self.mean)
         return products[:, : self.inputs], products[:, self.inputs :]
+
+    def within(self, directions: NDArray) -> Moments:
+        """Of inputs as coordinates along orthonormal columns (p, r) that span them."""
+        p = self.inputs
+        carried = directions.T @ self.scatter[:p]
+        inside, across = carried[:, :p] @ directions, carried[:, p:]
+        scatter = np.block([[inside, across], [across.T, self.scatter[p:, p:]]])
+        mean = np.concatenate([directions.T @ self.mean[:p], self.mean[p:]])
+        return Moments(directions.shape[1], self.frames, mean, scatter, self.skipped, self.dimensions or p)
 
     def squared_error(self, weights: NDArray, bias: NDArray) -> NDArray[np.float64]:
         """Sum over these frames of (y - x weights - bias)^2 for each output (q,); weights (p, q), bias (q,)."""
@@ -85,4 +96,4 @@ def _join(first: Moments, second: Moments) -> Moments:
     scatter += first.scatter
     scatter += second.scatter
     mean = first.mean + (second.frames / frames) * step
-    return Moments(first.inputs, frames, mean, scatter, first.skipped + second.skipped)
+    return Moments(first.inputs, frames, mean, scatter, first.skipped + second.skipped, first.dimensions)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
@@ -39,7 +39,7 @@ IMPROVED = RidgeForm(bias=True, standardise=True, penalty="leaning")
 
 
 _FEW_FRAMES = 0.6
-"""Frames for each input up to which the frames' own matrix is the quicker one to solve for."""
+"""Frames for each input up to which it is quicker to work in what they span."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,9 @@ def cross_validated(takes: Sequence[Moments], form: RidgeForm, settings: RidgeSe
     Raises `InputError` for fewer than two takes.
     """
     penalties = np.array((settings or RidgeSettings()).penalties)
-    return fit(pooled(takes), form, _choose(fold_errors(takes, form, penalties).sum(axis=0), form, penalties))
+    (takes,), directions = _few_coordinates([takes], form)
+    chosen = _choose(fold_errors(takes, form, penalties).sum(axis=0), form, penalties)
+    return _back(fit(pooled(takes), form, chosen), directions)
 
 
 def fold_errors(takes: Sequence[Moments], form: RidgeForm, penalties: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,9 +126,7 @@ def held_out(takes: Sequence[Moments], form: RidgeForm, settings: RidgeSettings 
     )
 
 
-def left_out_maps(
-    units: Sequence[Sequence[Moments]], form: RidgeForm, settings: RidgeSettings | None = None
-) -> list[LinearMap]:
+def left_out_maps(units: Sequence[Sequence[Moments]], form: RidgeForm, settings: RidgeSettings | None = None) -> list[LinearMap]:
     """For each unit, which is the parts of a person or a take alone, the ridge regression of all others.
 
     Penalties are chosen by leaving one of the others out, so that the unit has no part in them; leaving i and j out serves i's
@@ -136,6 +136,7 @@ def left_out_maps(
     _need(units, 2, "regressors that leave one out")
     if len(units) == 2:
         return [cross_validated(units[1 - k], form, settings) for k in range(2)]
+    units, directions = _few_coordinates(units, form)
     whole = [pooled(unit) for unit in units]
     penalties = np.array((settings or RidgeSettings()).penalties)
     curves = np.zeros((len(whole), len(penalties) + 1, whole[0].outputs))
@@ -143,7 +144,8 @@ def left_out_maps(
         on_i, on_j = _errors(_others(whole, i, j), [whole[i], whole[j]], form, penalties)
         curves[i] += on_j
         curves[j] += on_i
-    return [fit(_others(whole, k), form, _choose(curves[k], form, penalties)) for k in range(len(whole))]
+    maps = (fit(_others(whole, k), form, _choose(curves[k], form, penalties)) for k in range(len(whole)))
+    return [_back(found, directions) for found in maps]
 
 
 def _path(moments: Moments, form: RidgeForm, penalties: NDArray) -> tuple[NDArray, list[NDArray]]:
@@ -155,32 +157,33 @@ def _path(moments: Moments, form: RidgeForm, penalties: NDArray) -> tuple[NDArra
     varies = power > 1e-12 * moments.frames * (1e-12 + moments.mean[: moments.inputs] ** 2)
     scale = np.where(varies, scale, np.inf) if form.standardise else np.where(varies, 1.0, np.inf)
     gram, cross = gram / scale[:, None] / scale, cross / scale[:, None]
-    shifts = penalties * (np.trace(gram) / len(gram) or 1.0)
-    solve = _few_frames if moments.frames < _FEW_FRAMES * len(gram) else _many_frames
-    return penalties, [weights / scale[:, None] for weights in solve(gram, cross, shifts)]
-
-
-def _many_frames(gram: NDArray, cross: NDArray, shifts: NDArray) -> Iterator[NDArray]:
-    """(gram + shift I)^-1 cross for each shift."""
-    for shift in shifts:
+    unit = np.trace(gram) / (moments.dimensions or len(gram)) or 1.0
+    found = []
+    for penalty in penalties:
         shifted = gram.copy()
-        shifted.flat[:: len(gram) + 1] += shift
-        yield cho_solve(cho_factor(shifted, overwrite_a=True, check_finite=False), cross)
+        shifted.flat[:: len(gram) + 1] += penalty * unit
+        found.append(cho_solve(cho_factor(shifted, overwrite_a=True, check_finite=False), cross) / scale[:, None])
+    return penalties, found
 
 
-def _few_frames(gram: NDArray, cross: NDArray, shifts: NDArray) -> Iterator[NDArray]:
-    """The same where a gram of fewer frames than inputs is L L^T with few columns, by Woodbury's identity.
+def _few_coordinates(units: Sequence[Sequence[Moments]], form: RidgeForm) -> tuple[Sequence[Sequence[Moments]], NDArray | None]:
+    """Units of fewer frames than inputs in coordinates of what their inputs span (p, r); None where nothing is gained.
 
-    (L L^T + s I)^-1 C = (C - L (L^T L + s I)^-1 L^T C) / s, and L^T L is diagonalised once for all shifts.
+    Weights of least |R| lie in the span of the frames, so that no regression of any of them needs more.
     """
+    parts = [part for unit in units for part in unit]
+    if form.standardise or sum(part.frames for part in parts) > _FEW_FRAMES * parts[0].inputs:
+        return units, None
+    gram, _ = pooled(parts).gram(centred=False)
     factor, order, rank, _ = dpstrf(gram, lower=1)
     tall = np.empty((len(gram), rank))
     tall[order - 1] = np.tril(factor)[:, :rank]
-    values, turn = np.linalg.eigh(tall.T @ tall)
-    turned = tall @ turn
-    carried = turned.T @ cross
-    for shift in shifts:
-        yield (cross - turned @ (carried / (values + shift)[:, None])) / shift
+    directions = np.linalg.qr(tall)[0]
+    return [[part.within(directions) for part in unit] for unit in units], directions
+
+
+def _back(found: LinearMap, directions: NDArray | None) -> LinearMap:
+    return found if directions is None else replace(found, weights=directions @ found.weights)
 
 
 def _bias(moments: Moments, form: RidgeForm, weights: NDArray) -> NDArray[np.float64]:

@@ -21,21 +21,23 @@ class Silence:
 
     phi: NDArray[np.float64]
     """(k,)"""
-    tau: float
-    alpha: float
+    larynx: tuple[float, float] | None
+    """tau and alpha; None of takes without."""
 
     @classmethod
     def of(cls, takes: Sequence[SpeechTake]) -> Silence | None:
         """The median over the fitted frames of a person's takes that hear a pause; None where there are fewer than five."""
-        rows = [np.column_stack([take.coefficients.phi, take.larynx])[take.features.pauses] for take in takes]
-        rows = np.concatenate(rows)
+        rows = np.concatenate([take.columns[take.features.pauses] for take in takes])
         rows = rows[np.isfinite(rows).all(axis=1)]
         if len(rows) < LEAST_PAUSES:
             return None
-        *phi, tau, alpha = np.median(rows, axis=0)
-        return cls(np.array(phi), float(tau), float(alpha))
+        found, count = np.median(rows, axis=0), takes[0].coefficients.phi.shape[1]
+        return cls(found[:count], (float(found[-2]), float(found[-1])) if len(found) > count else None)
 
     def removed_from(self, take: SpeechTake) -> SpeechTake:
         """The take as if the person were in silence what the neutral head is: phi = 0, tau = 0, alpha = 1 (eq. 1)."""
         own = take.coefficients
-        return replace(take, coefficients=SpeechCoefficients(own.phi - self.phi, own.tau - self.tau, own.alpha - self.alpha + 1))
+        if self.larynx is None or own.tau is None or own.alpha is None:
+            return replace(take, coefficients=SpeechCoefficients(own.phi - self.phi))
+        tau, alpha = self.larynx
+        return replace(take, coefficients=SpeechCoefficients(own.phi - self.phi, own.tau - tau, own.alpha - alpha + 1))

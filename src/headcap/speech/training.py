@@ -55,6 +55,16 @@ class SpeechTake:
             return None
         return np.column_stack([self.coefficients.tau, self.coefficients.alpha])
 
+    @property
+    def columns(self) -> NDArray[np.float64]:
+        """phi beside tau and alpha (n, k + 2), or phi alone."""
+        return self.coefficients.phi if self.larynx is None else np.column_stack([self.coefficients.phi, self.larynx])
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(n,) frames with all their coefficients."""
+        return np.isfinite(self.columns).all(axis=1)
+
 
 @dataclass(frozen=True)
 class SpeechErrors:
@@ -117,7 +127,11 @@ def train_speech_regressor(
     settings = settings or RidgeSettings()
     takes = takes_or_stretches(takes, settings.parts_of_one_take)
     return regressor_of(
-        [[take_moments(take, feature_set, settings)] for take in takes], model_version, feature_set, group=group, settings=settings
+        [[take_moments(take, feature_set, settings)] for take in takes],
+        model_version,
+        feature_set,
+        group=group,
+        settings=settings,
     )
 
 
