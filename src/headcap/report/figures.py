@@ -52,7 +52,8 @@ _RESIDUALS = {
 
 
 @contextmanager
-def _sheet(width_in: float, height_in: float) -> Iterator[tuple[Figure, list[Image]]]:
+def sheet(width_in: float, height_in: float) -> Iterator[tuple[Figure, list[Image]]]:
+    """A figure of a size in inches to draw on; its image is appended to the list when it is done."""
     with matplotlib.rc_context(_STYLE):
         figure, out = Figure((width_in, height_in), dpi=_DPI, layout="constrained"), []
         canvas = FigureCanvasAgg(figure)
@@ -65,7 +66,7 @@ def offsets_diagram(offsets: TimeOffsets, true_start_s: dict[str, float] | None,
     """When each camera started, with its confidence; and, with truth, by how much each start is off."""
     columns = 1 if true_start_s is None else 2
     rows = np.arange(len(offsets.cameras))
-    with _sheet(8.2, 1.0 + 0.17 * len(rows)) as (figure, out):
+    with sheet(8.2, 1.0 + 0.17 * len(rows)) as (figure, out):
         axes = figure.subplots(1, columns, squeeze=False, sharey=True)[0]
         start_ms = 1e3 * (np.array(offsets.start_s) - min(offsets.start_s))
         opacity = np.clip(0.25 + 0.75 * np.array(offsets.confidence), 0, 1)
@@ -90,7 +91,7 @@ def offsets_diagram(offsets: TimeOffsets, true_start_s: dict[str, float] | None,
 def rig_diagram(rig: Rig, cloud: NDArray | None) -> Image:
     """The cameras about the subject: in space, and from above."""
     points = np.empty((0, 3)) if cloud is None else np.asarray(cloud)[:: max(1, len(cloud) // 1500)]
-    with _sheet(8.2, 3.3) as (figure, out):
+    with sheet(8.2, 3.3) as (figure, out):
         grid = figure.add_gridspec(1, 2, width_ratios=(1, 1.25))
         _draw_in_space(figure.add_subplot(grid[0], projection="3d", computed_zorder=False), rig, points)
         _draw_from_above(figure.add_subplot(grid[1]), rig, points)
@@ -144,7 +145,7 @@ def coverage_diagram(detections: tuple[CameraDetections, ...]) -> Image:
     columns = 8
     rows = -(-len(detections) // columns)
     aspect = detections[0].height / detections[0].width
-    with _sheet(8.2, rows * (8.2 / columns * aspect + 0.28)) as (figure, out):
+    with sheet(8.2, rows * (8.2 / columns * aspect + 0.28)) as (figure, out):
         grid = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes in grid[len(detections) :]:
             axes.set_visible(False)
@@ -162,7 +163,7 @@ def heldout_diagram(result: CalibrationResult, limit_px: float | None) -> Image:
     """Reprojection error of held-out board poses by camera: rms and 95th percentile."""
     rows = np.arange(len(result.cameras))
     value = lambda name: np.array([getattr(c, name) if getattr(c, name) is not None else np.nan for c in result.cameras])  # noqa: E731
-    with _sheet(8.2, 2.1) as (figure, out):
+    with sheet(8.2, 2.1) as (figure, out):
         axes = figure.subplots()
         axes.bar(rows, value("heldout_rms_px"), 0.6, color=ACCENT, label="rms")
         axes.plot(rows, value("heldout_p95_px"), "_", color=SECOND, markersize=11, markeredgewidth=2, label="95th percentile")
@@ -179,7 +180,7 @@ def heldout_diagram(result: CalibrationResult, limit_px: float | None) -> Image:
 def error_curves(errors: TrackingErrors, limits: dict[str, float | None]) -> Image:
     """Surface error, drift and lip gap of a tracked take over its frames."""
     has_lips = np.isfinite(errors.lip_gap_mm).any()
-    with _sheet(8.2, 2.3) as (figure, out):
+    with sheet(8.2, 2.3) as (figure, out):
         axes = figure.subplots(1, 3 if has_lips else 2)
         for panel, name, title in ((axes[0], "surface", "Distance to the true surface"), (axes[1], "drift", "Material drift")):
             values = np.where(errors.seen, getattr(errors, f"{name}_mm"), np.nan)
@@ -203,7 +204,7 @@ def error_curves(errors: TrackingErrors, limits: dict[str, float | None]) -> Ima
 
 def gap_curves(gaps: CloudGaps) -> Image:
     """Distance of the reconstructed points to the tracked mesh over the frames."""
-    with _sheet(8.2, 1.9) as (figure, out):
+    with sheet(8.2, 1.9) as (figure, out):
         axes = figure.subplots()
         axes.plot(gaps.frames, gaps.median_mm, "-o", markersize=2.5, color=ACCENT, label="median")
         axes.plot(gaps.frames, gaps.p95_mm, "-o", markersize=2.5, color=SECOND, label="95th percentile")
@@ -215,7 +216,7 @@ def gap_curves(gaps: CloudGaps) -> Image:
 def residual_curves(residuals: TrackResiduals) -> Image:
     """What the tracker was left with in each frame, one panel per residual."""
     frames = np.arange(len(residuals))
-    with _sheet(8.2, 1.9) as (figure, out):
+    with sheet(8.2, 1.9) as (figure, out):
         panels = figure.subplots(1, len(residuals.values), squeeze=False)[0]
         for axes, (name, values) in zip(panels, residuals.values.items(), strict=True):
             axes.plot(frames, values, color=ACCENT)
@@ -232,7 +233,7 @@ def residual_curves(residuals: TrackResiduals) -> Image:
 def error_histogram(error_mm: NDArray, limits: dict[str, float | None], *, title: str) -> Image:
     """Distribution of distances with their median and 95th percentile."""
     known = error_mm[np.isfinite(error_mm)]
-    with _sheet(8.2, 1.9) as (figure, out):
+    with sheet(8.2, 1.9) as (figure, out):
         axes = figure.subplots()
         reach = max(1e-6, 1.5 * np.percentile(known, 95))
         axes.hist(known, 80, range=(0, reach), color=FAINT)
@@ -249,7 +250,7 @@ def error_histogram(error_mm: NDArray, limits: dict[str, float | None], *, title
 
 def colour_bar(top: float, label: str) -> Image:
     """The scale of an error picture, from 0 to `top`."""
-    with _sheet(3.2, 0.5) as (figure, out):
+    with sheet(3.2, 0.5) as (figure, out):
         axes = figure.subplots()
         figure.colorbar(ScalarMappable(Normalize(0, top), "viridis"), cax=axes, orientation="horizontal", label=label)
     return out[0]
