@@ -97,7 +97,7 @@ def _at(curves: CoefficientCurves, frame: int) -> str:
 
 
 def swallow_columns(
-    model: NeckModel, person: NeckPerson, curves: CoefficientCurves, *, count: int = 6, height: int = 230
+    model: NeckModel, person: NeckPerson, curves: CoefficientCurves, *, count: int = 7, height: int = 230
 ) -> list[KeyFrame]:
     """Figure 14: key frames of a swallow, from two sides, and below them the same with the larynx exaggerated.
 
