@@ -88,9 +88,7 @@ class CoefficientCurves:
         Frames that were not fitted are filled linearly between their neighbours, placements by the nearest. Raises `InputError`
         where no frame was fitted.
         """
-        known = np.flatnonzero(take.speech.known & np.isfinite(take.placement).all(axis=(1, 2)))
-        if len(known) == 0:
-            raise InputError(f"{take.take}: no fitted frame", expected="one at least", remedy="Look at its tracking.")
+        known = take.speech.known & np.isfinite(take.placement).all(axis=(1, 2))
         channels = {
             "tau": take.speech.tau_m,
             "alpha": take.speech.alpha,
@@ -99,10 +97,28 @@ class CoefficientCurves:
             "neck": take.theta[:, 0],
             "jaw": take.theta[:, 1],
         }
-        time_s = take.time_s - take.time_s[0]
-        filled = {name: _interpolated(time_s, time_s[known], np.asarray(v)[known]) for name, v in channels.items()}
-        nearest = known[np.abs(np.subtract.outer(np.arange(len(time_s)), known)).argmin(axis=1)]
-        return cls(time_s, filled, take.placement[nearest], model_version, person)
+        if not known.any():
+            raise InputError(f"{take.take}: no fitted frame", expected="one at least", remedy="Look at its tracking.")
+        return cls.filled(take.time_s, channels, take.placement, known, model_version, person)
+
+    @classmethod
+    def filled(
+        cls,
+        time_s: NDArray,
+        channels: Mapping[str, NDArray],
+        placement: NDArray | None,
+        known: NDArray[np.bool_],
+        model_version: str,
+        person: str,
+    ) -> CoefficientCurves:
+        """Fitted coefficients with gaps, moments counted from the first frame; one frame (f,) at least must be known.
+
+        Between known frames channels are linear, placements those of the nearest.
+        """
+        time_s, frames = np.asarray(time_s, float) - time_s[0], np.flatnonzero(known)
+        values = {name: _interpolated(time_s, time_s[frames], np.asarray(v)[frames]) for name, v in channels.items()}
+        nearest = frames[np.abs(np.subtract.outer(np.arange(len(time_s)), frames)).argmin(axis=1)]
+        return cls(time_s, values, None if placement is None else placement[nearest], model_version, person)
 
     def curve(self, name: str) -> NDArray[np.float64]:
         """One channel (f,) or (f, k), or one component of it: `phi.3`, `neck.x`. Raises `InputError` for what is not there."""

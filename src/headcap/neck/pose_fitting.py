@@ -81,7 +81,7 @@ class PoseEstimator:
         self.settings = settings or PoseSettings()
         self.vertices = telling_vertices(model, self.settings.vertices_per_bone, seen)
         chosen = self.vertices
-        self._rest = np.ascontiguousarray(model.vertices[chosen], np.float64)
+        self._rest = self._now = np.ascontiguousarray(model.vertices[chosen], np.float64)
         self._joints = np.ascontiguousarray(model.joints(), np.float64)
         self._weights = np.ascontiguousarray(model.skinning_weights[chosen], np.float64)
         correctives = model.pose_basis[:, chosen] if model.pose_basis.any() else np.zeros((0, len(chosen), 3))
@@ -95,17 +95,19 @@ class PoseEstimator:
         self._residual = np.empty((len(chosen), 3))
 
     def estimate(
-        self, observed: NDArray, start: tuple[Poses, NDArray] | None = None
+        self, observed: NDArray, start: tuple[Poses, NDArray] | None = None, shown: NDArray | None = None
     ) -> tuple[Poses, NDArray[np.float64], NDArray[np.float64]]:
         """Poses (f), psi (f, e) and energies (f,) of the telling vertices (f, k, 3) of frames in order of time.
 
-        The first frame begins at the last one of `start` (poses and psi of frames before), or by rigid alignment.
+        The first frame begins at the last one of `start` (poses and psi of frames before), or by rigid alignment. `shown`
+        (f, k, 3) are displacements at rest that are known already, metres.
         """
         f = len(observed)
         turns, shift, psi = np.empty((f, 3, 3, 3)), np.empty((f, 3)), np.empty((f, len(self._basis)))
         energy = np.empty(f)
         warm = None if start is None else (start[0].turns[-1], start[0].shift[-1], start[1][-1])
         for k, frame in enumerate(np.ascontiguousarray(observed, np.float64)):
+            self._now = self._rest if shown is None else self._rest + shown[k]
             found = self._search(frame, *(warm or self._aligned(frame)))
             if warm is not None and found[3] > self._lost:
                 found = min(found, self._search(frame, *self._aligned(frame)), key=lambda entry: entry[3])
@@ -116,7 +118,7 @@ class PoseEstimator:
     def trace(self, observed: NDArray) -> list[float]:
         """Energies of one frame (k, 3) step by step, from rigid alignment on."""
         energies: list[float] = []
-        observed = np.ascontiguousarray(observed, np.float64)
+        observed, self._now = np.ascontiguousarray(observed, np.float64), self._rest
         self._search(observed, *self._aligned(observed), energies)
         return energies
 
@@ -126,8 +128,8 @@ class PoseEstimator:
 
     def _aligned(self, observed: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Everything moved rigidly, neck and jaw at rest, no expression."""
-        centre, own = observed.mean(axis=0), self._rest.mean(axis=0)
-        turn = Rotation.align_vectors(observed - centre, self._rest - own)[0].as_matrix()
+        centre, own = observed.mean(axis=0), self._now.mean(axis=0)
+        turn = Rotation.align_vectors(observed - centre, self._now - own)[0].as_matrix()
         return np.stack([turn, np.eye(3), np.eye(3)]), centre - turn @ own, np.zeros(len(self._basis))
 
     def _search(
@@ -158,7 +160,7 @@ class PoseEstimator:
         self, observed: NDArray, turns: NDArray, shift: NDArray, psi: NDArray, jacobian: NDArray
     ) -> tuple[NDArray[np.float64], float]:
         """Modified residuals (3 k,) in sigmas and the energy."""
-        arrays = (observed, self._rest, self._correctives, self._weights, self._joints, turns, shift)
+        arrays = (observed, self._now, self._correctives, self._weights, self._joints, turns, shift)
         unposed_residuals(*arrays, self._residual, jacobian)
         left = (self._residual.ravel() / self._scale - psi @ self._basis).reshape(-1, 3)
         length = np.sqrt(np.einsum("vi,vi->v", left, left))

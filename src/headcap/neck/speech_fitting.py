@@ -58,6 +58,7 @@ class SpeechFitter:
         self._seen = checked_mask(seen, len(head.vertices))
         self.larynx = seen_larynx(person.larynx, self._seen)
         self.rows, self.turn = seen_directions(np.asarray(head.speech_basis, float), self._seen)
+        self._throat_basis = np.asarray(head.speech_basis[:, person.larynx.vertices], float)
         inside = self.rows.reshape(len(self.rows), len(head.vertices), 3)[:, person.larynx.vertices]
         self.inside, self.along = inside.reshape(len(self.rows), 3 * inside.shape[1]), inside @ person.larynx.direction
 
@@ -67,16 +68,39 @@ class SpeechFitter:
         They minimise the squared distance over the seen vertices: tau and alpha by eq. 12 and 13 with phi solved for along with
         them, then phi by eq. 20. A frame with a vertex that is not finite, seen or not, gives NaN.
         """
-        base, larynx = self.person.base, self.larynx
+        fine = self._finite(meshes)
+        offsets = np.asarray(meshes[fine], float) - self.person.base
+        spoken = offsets.reshape(len(offsets), -1) @ self.rows.T
+        nuisance = Nuisance(self.along, spoken)
+        tau, alpha = slide_and_scale(offsets[:, self.larynx.vertices], self.larynx, self.settings, nuisance)
+        phi = self._weights(spoken, tau, alpha)
+        return SpeechFit(*(spread(values, fine) for values in (tau, alpha, phi)))
+
+    def fit_larynx(self, meshes: NDArray, phi: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """tau (f,) and alpha (f,) of meshes as in `fit` where phi (f, p) is known (eq. 11 to 13)."""
+        fine = self._finite(meshes)
+        offsets = np.asarray(meshes[fine], float)[:, self.larynx.vertices] - self.person.base[self.larynx.vertices]
+        offsets -= np.tensordot(phi[fine], self._throat_basis, axes=1)
+        tau, alpha = slide_and_scale(offsets, self.larynx, self.settings)
+        return spread(tau, fine), spread(alpha, fine)
+
+    def fit_weights(self, meshes: NDArray, tau_m: NDArray, alpha: NDArray) -> NDArray[np.float64]:
+        """phi (f, p) of meshes as in `fit` where tau and alpha (f,) are known (eq. 20)."""
+        fine = self._finite(meshes)
+        offsets = np.asarray(meshes[fine], float) - self.person.base
+        spoken = offsets.reshape(len(offsets), -1) @ self.rows.T
+        return spread(self._weights(spoken, tau_m[fine], alpha[fine]), fine)
+
+    def _finite(self, meshes: NDArray) -> NDArray[np.bool_]:
+        base = self.person.base
         if meshes.ndim != 3 or meshes.shape[1:] != base.shape:
             raise InputError(f"meshes {meshes.shape}", expected=f"(frames, {len(base)}, 3)", remedy="Use the model's topology.")
-        fine = np.isfinite(meshes).all(axis=(1, 2))
-        offsets = np.asarray(meshes[fine], float) - base
-        spoken = offsets.reshape(len(offsets), -1) @ self.rows.T
-        tau, alpha = slide_and_scale(offsets[:, larynx.vertices], larynx, self.settings, Nuisance(self.along, spoken))
-        moved = larynx.offset(tau, alpha).values.reshape(len(offsets), -1)
-        phi = (spoken - moved @ self.inside.T) @ self.turn
-        return SpeechFit(*(spread(values, fine) for values in (tau, alpha, phi)))
+        return np.isfinite(meshes).all(axis=(1, 2))
+
+    def _weights(self, spoken: NDArray, tau: NDArray, alpha: NDArray) -> NDArray:
+        """phi of eq. 20 from products (f, q) of the offsets with the directions of N."""
+        moved = self.larynx.offset(tau, alpha).values.reshape(len(spoken), -1)
+        return (spoken - moved @ self.inside.T) @ self.turn
 
 
 LEAST_SHOWN = 1e-4
