@@ -452,9 +452,8 @@ def voice_fits(wildcards):
 
 def voice(wildcards):
     """Whose voices train a regressor, and what of the neck it drives."""
-    return PLAN.voices[wildcards.voice].model_dump(mode="json") | {
-        "generic": wildcards.voice not in PLAN.people
-    }
+    kind = "user" if wildcards.voice in PLAN.people else "generic"
+    return PLAN.voices[wildcards.voice].model_dump(mode="json") | {"kind": kind}
 
 
 def study_name(wildcards):
@@ -465,6 +464,39 @@ def neck_fits(wildcards):
     """What the study's neck model says of everybody."""
     folder = f"results/{PLAN.name}/fit_neck"
     return [f"{folder}/{person}/fits.npz" for person in PLAN.neck_people]
+
+
+def neck_models(wildcards):
+    """The study's neck model with each person alone."""
+    folder = f"results/{PLAN.name}/fit_neck"
+    return [f"{folder}/{person}/model.npz" for person in PLAN.neck_people]
+
+
+def voice_regressors(wildcards):
+    folder = f"results/{PLAN.name}/train_speech"
+    return [f"{folder}/{name}.npz" for name in PLAN.voices]
+
+
+def voice_names(wildcards):
+    return list(PLAN.voices)
+
+
+def voice_groups(wildcards):
+    return {group.name: list(group.people) for group in PLAN.study.groups}
+
+
+def all_sounds(wildcards):
+    return take_sounds(PLAN.neck_people)
+
+
+def all_people(wildcards):
+    return [subject_files(person) for person in PLAN.neck_people]
+
+
+def described_study(wildcards):
+    """The study file, sessions by name alone: their own pages tell the rest."""
+    described = PLAN.study.model_dump(mode="json")
+    return described | {"sessions": list(PLAN.sessions)}
 
 
 def voice_errors(wildcards):

@@ -21,7 +21,7 @@ from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.pose_expression_training import PoseExpressionSettings
 from headcap.neck.study_training import NeckTrainingSettings
-from headcap.neck.voice_training import VoiceTrainingSettings
+from headcap.neck.voice_training import VoiceCoefficients, VoiceTrainingSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.place import PlaceSettings
@@ -230,8 +230,10 @@ class VoiceGroup(_Settings):
     """People whose voices train one regressor that is meant for others as well."""
 
     name: Name = Field(description="Name of the regressor.")
-    people: tuple[Name, ...] = Field(min_length=1, description="Sessions and mesh subjects of the study that train it.")
-    coefficients: Literal["all", "phi"] = Field(
+    people: tuple[Name, ...] = Field(
+        min_length=1, description="Sessions and mesh subjects of the study that speak; those held out only test it."
+    )
+    coefficients: VoiceCoefficients = Field(
         default="all", description="phi: speech blendshapes alone, for people whose larynx hardly shows."
     )
 

@@ -12,29 +12,17 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from headcap.artifacts import ArtifactError, load_json, save_json
 from headcap.errors import InputError
 from headcap.evaluation.metrics import Figure, make_figure
-from headcap.evaluation.neck import larynx_correlation
+from headcap.evaluation.neck import LarynxCurve, LarynxFile, larynx_correlation
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.fits import NeckFits
-from headcap.speech import SpeechErrors, SpeechRegressor
+from headcap.neck.voice_errors import VoiceErrorRow, VoiceErrors, in_millimetres
+from headcap.speech import FeatureSet
 
 KIND, SCHEMA = "neck_study", 1
-
-
-@dataclass(frozen=True, eq=False)
-class LarynxCurve:
-    """The true larynx's height in a take."""
-
-    time_s: NDArray[np.float64]
-    """(t,) on the true clock."""
-    height_m: NDArray[np.float64]
-    """(t,) upwards."""
-    clock_shift_s: float = 0.0
-    """By how much the take's common clock runs ahead of the true one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,20 +105,21 @@ class RegressorRow:
     alpha_of_mean: float | None = None
 
     @classmethod
-    def of(cls, voice: str, kind: Literal["user", "generic"], regressor: SpeechRegressor, errors: SpeechErrors) -> RegressorRow:
-        """Of a trained regressor and its errors on other frames, which are in metres."""
+    def of(cls, voice: VoiceErrors, row: VoiceErrorRow) -> RegressorRow:
+        """One way in which a voice was trained, and its errors on what was left out."""
+        told = in_millimetres(row.errors)
         return cls(
-            voice=voice,
-            kind=kind,
-            feature_set=regressor.feature_set.value,
-            training_frames=int(regressor.figures.get("frames", 0)),
-            test_frames=errors.frames,
-            phi=1e3 * errors.phi,
-            tau=_scaled(errors.tau, 1e6),
-            alpha=errors.alpha,
-            phi_of_mean=1e3 * errors.phi_of_mean,
-            tau_of_mean=_scaled(errors.tau_of_mean, 1e6),
-            alpha_of_mean=errors.alpha_of_mean,
+            voice=voice.voice,
+            kind=voice.kind,
+            feature_set=row.feature_set.value,
+            training_frames=row.training_frames,
+            test_frames=row.errors.frames,
+            phi=told["phi_mm"],
+            tau=told.get("tau_mm2"),
+            alpha=told.get("alpha"),
+            phi_of_mean=told["phi_mm_of_mean"],
+            tau_of_mean=told.get("tau_mm2_of_mean"),
+            alpha_of_mean=told.get("alpha_of_mean"),
         )
 
 
@@ -194,7 +183,7 @@ class NeckStudy:
             name = "neck.larynx_correlation" if row.recorded else "neck.larynx_correlation_of_meshes"
             value = math.nan if row.correlation is None else row.correlation
             out.append(make_figure(name, value, session=row.subject, take=row.take, settings=own[row.subject]))
-        return out
+        return out + [figure for row in self.regressors for figure in _voice_figures(row, settings)]
 
     def save(self, path: Path | str) -> None:
         """Write as JSON artifact `headcap.neck_study/1`."""
@@ -209,6 +198,25 @@ class NeckStudy:
             return cls(content["name"], **{key: tuple(row(**one) for one in content[key]) for key, row in rows.items()})
         except (KeyError, TypeError) as error:
             raise ArtifactError(f"{path} holds no whole study of the neck ({error}); make it again") from error
+
+
+def collect_study(
+    name: str, fits: Sequence[Path], errors: Sequence[Path], *, recorded: Sequence[str], larynxes: Sequence[LarynxFile]
+) -> NeckStudy:
+    """From files: everybody's fits, every voice's errors, who came from recordings, and what is known of larynges.
+
+    Of a voice the rows are kept that were trained as its regressor was, with the paper's features and with ours.
+    """
+    curves = {(file.person, file.take): file.load() for file in larynxes}
+    subjects = []
+    for fit in map(NeckFits.load, fits):
+        known = {take: curve for (person, take), curve in curves.items() if person == fit.person and curve is not None}
+        subjects.append(StudySubject(fit, fit.person in recorded, known))
+    voices = [VoiceErrors.load(path) for path in errors]
+    rows = [
+        RegressorRow.of(voice, row) for voice in voices for row in voice.rows if row.silence_removed == voice.kept.silence_removed
+    ]
+    return NeckStudy.of(name, subjects, rows)
 
 
 def _drop_row(subject: StudySubject) -> ErrorDropRow:
@@ -242,6 +250,18 @@ def _larynx_rows(subject: StudySubject) -> list[LarynxRow]:
     return rows
 
 
+def _voice_figures(row: RegressorRow, settings: EvaluateSettings) -> list[Figure]:
+    """Table 2's errors of the improved feature set as figures, `session` naming the voice."""
+    if row.feature_set != FeatureSet.POOLED.value:
+        return []
+    told = {
+        f"speech.{name}_error{ending}": getattr(row, name + ending)
+        for name in ("phi", "tau", "alpha")
+        for ending in ("", "_of_mean")
+    }
+    return _figures(told, row.voice, settings, held=True)
+
+
 def _figures(values: Mapping[str, float | None], subject: str, settings: EvaluateSettings, *, held: bool) -> list[Figure]:
     """Figures of one subject; without limits where the subject was trained on."""
     made = [
@@ -250,7 +270,3 @@ def _figures(values: Mapping[str, float | None], subject: str, settings: Evaluat
         if value is not None
     ]
     return made if held else [replace(figure, limit=None, ok=None) for figure in made]
-
-
-def _scaled(value: float | None, factor: float) -> float | None:
-    return None if value is None else factor * value

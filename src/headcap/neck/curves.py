@@ -126,6 +126,10 @@ class CoefficientCurves:
         values = self.channels[channel]
         return values if component is None else values[:, component]
 
+    def only(self, *names: str) -> CoefficientCurves:
+        """Some of the channels; the others rest."""
+        return replace(self, channels={name: values for name, values in self.channels.items() if name in names})
+
     def with_curve(self, name: str, values: NDArray) -> CoefficientCurves:
         """The curves with a channel, or a component of one, replaced."""
         channel, component = self._split(name)

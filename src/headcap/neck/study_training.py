@@ -63,7 +63,7 @@ def train_neck(
 
 
 def person_of(model: NeckModel, subject: NeckSubject, settings: NeckTrainingSettings, scratch: Path | None = None) -> NeckPerson:
-    """The model's own person of the subject's name; anybody else is fitted, from the neutral head and what speech takes there are.
+    """The model's own person of the subject's name; anybody else is fitted, from the neutral head and speech takes, if any.
 
     Raises `InputError` for another topology.
     """

@@ -77,7 +77,7 @@ class TakeSound:
 
 
 def recorded_sound(person: str, take: str, path: Path | str) -> TakeSound:
-    """The sound of one recording whose clock is that of the take's frames; raises `InputError` where nothing can be read of it."""
+    """The sound of one recording whose clock is that of the take's frames; raises `InputError` as `read_speech`."""
     samples, start_s = read_speech(path)
     return TakeSound(person, take, Path(path).stem, samples, first_sample_s=start_s, clarity_db=clarity_db(samples))
 

@@ -128,7 +128,8 @@ def study_disagreements(plan: Plan) -> Iterator[str]:
     for group in study.groups:
         where = f"groups.{group.name}"
         yield from (f"{where}: nobody is called {name}" for name in group.people if name not in people)
-        yield from (f"{where}: {name} is held out" for name in group.people if name in study.held_out)
+        if not set(group.people) & set(plan.training):
+            yield f"{where}: everybody in it is held out, so that nobody trains it"
         silent = [name for name in group.people if name in people and not plan.heard(name)]
         yield from (f"{where}: {name} has no speech take with a sound" for name in silent)
         if group.name in people:

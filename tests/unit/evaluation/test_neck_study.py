@@ -8,13 +8,13 @@ import pytest
 
 from headcap.artifacts import ArtifactError
 from headcap.errors import InputError
-from headcap.evaluation.neck_study import PAPER_REGRESSORS, LarynxCurve, NeckStudy, RegressorRow, StudySubject
+from headcap.evaluation.neck import LarynxCurve, LarynxFile
+from headcap.evaluation.neck_study import PAPER_REGRESSORS, NeckStudy, RegressorRow, StudySubject, collect_study
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.speech_fitting import SpeechFit
-from headcap.speech import FeatureSet, SpeechErrors, SpeechRegressor
-from headcap.speech.ridge import LinearMap
-from headcap.speech.settings import FeatureSettings
+from headcap.neck.voice_errors import VoiceErrorRow, VoiceErrors
+from headcap.speech import FeatureSet, SpeechErrors
 
 CLOCK = np.arange(90) / 30
 HEIGHT_M = 0.006 * np.sin(5 * CLOCK)
@@ -36,10 +36,26 @@ def fits(person: str, held_out: bool, larynx_mm: float = 0.3) -> NeckFits:
     return NeckFits(person, (*takes, take("talk", "speech", **spoken)), held_out)
 
 
+ERRORS = SpeechErrors(60, 0, 0.002, 0.004, 1e-6, 4e-6, 0.01, 0.02)
+VOICE = VoiceErrors(
+    voice="anna",
+    kind="user",
+    model_version="v1",
+    trained=("anna",),
+    tested=("anna",),
+    left_out="takes",
+    shared_sound=0.0,
+    chosen=1,
+    rows=(
+        VoiceErrorRow(FeatureSet.PAPER, False, 240, ERRORS),
+        VoiceErrorRow(FeatureSet.POOLED, False, 240, ERRORS),
+        VoiceErrorRow(FeatureSet.POOLED, True, 240, ERRORS),
+    ),
+)
+
+
 def regressor_row(feature_set: FeatureSet) -> RegressorRow:
-    plain = LinearMap(np.zeros((4, 2)), np.zeros(2), np.ones(2), np.zeros(4))
-    made = SpeechRegressor("v1", feature_set, FeatureSettings(), plain, plain, "anna", {"frames": 240.0})
-    return RegressorRow.of("anna", "user", made, SpeechErrors(60, 0, 0.002, 0.004, 1e-6, 4e-6, 0.01, 0.02))
+    return RegressorRow.of(VOICE, next(row for row in VOICE.rows if row.feature_set == feature_set))
 
 
 @pytest.fixture
@@ -104,3 +120,31 @@ def test_a_study_travels_in_a_file(study, tmp_path):
     (tmp_path / "broken.json").write_text(json.dumps(content))
     with pytest.raises(ArtifactError, match="no whole study"):
         NeckStudy.load(tmp_path / "broken.json")
+
+
+def test_a_study_is_collected_from_its_files(tmp_path):
+    people = [fits("anna", False), fits("ben", True)]
+    for one in people:
+        one.save(tmp_path / f"{one.person}.npz")
+    VOICE.save(tmp_path / "anna.errors.json")
+    np.savez(tmp_path / "talk.larynx.npz", time_s=CLOCK, larynx_dy_m=HEIGHT_M)
+    found = collect_study(
+        "demo",
+        [tmp_path / "anna.npz", tmp_path / "ben.npz"],
+        [tmp_path / "anna.errors.json"],
+        recorded=["ben"],
+        larynxes=[LarynxFile("ben", "talk", heights=tmp_path / "talk.larynx.npz")],
+    )
+    assert [row.recorded for row in found.drops] == [False, True]
+    # of a voice, the rows trained as the kept one was
+    assert [row.feature_set for row in found.regressors] == ["paper", "pooled"]
+    assert [(row.subject, row.take) for row in found.larynx] == [("ben", "talk")]
+
+
+def test_figures_of_voices_and_own_limits(study):
+    figures = study.figures(EvaluateSettings(), {"ben": {"neck.larynx_correlation_of_meshes": 1.5}})
+    by_name = {(figure.name, figure.session): figure for figure in figures}
+    assert by_name["speech.phi_error", "anna"].value == pytest.approx(2.0)
+    assert by_name["speech.tau_error_of_mean", "anna"].value == pytest.approx(4.0)
+    assert by_name["neck.larynx_correlation_of_meshes", "ben"].ok is False
+    assert by_name["neck.larynx_correlation", "anna"].ok is True

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from headcap.errors import InputError
-from headcap.evaluation.neck_study import LarynxCurve, NeckStudy, RegressorRow, StudySubject
+from headcap.evaluation.neck import LarynxCurve
+from headcap.evaluation.neck_study import NeckStudy, RegressorRow, StudySubject
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.geometry.transforms import from_vector
 from headcap.heads import procedural_model
