@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_neck_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
-    """`animate` and `edit`."""
+    """`animate`, `fit` and `edit`."""
     animate = add("animate", _animate, "Meshes of a person's head and neck from a voice, from coefficient curves, or from both.")
     animate.add_argument("model", type=Path, help="model.npz of a trained neck")
     animate.add_argument("regressor", type=Path, nargs="?", help="regressor.npz of the same model")
@@ -82,6 +82,21 @@ def _add_neck_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
     animate.add_argument("--curves", type=Path, help="curves of pose and expression; what they hold goes before the sound")
     animate.add_argument("--out", type=Path, required=True, help="sequence .json, or file or folder of the format")
     animate.add_argument("--format", default="sequence", help="sequence (default), npz, pc2, obj or glb")
+
+    fit = add(
+        "fit", _fit, "Coefficient curves of a person from meshes, or from landmarks of a tracked face, which then drive the neck."
+    )
+    fit.add_argument("model", type=Path, help="model.npz of a trained neck")
+    fit.add_argument("--person", required=True, help="whose head, of those the model knows")
+    fit.add_argument("--meshes", type=Path, help="sequence.json of meshes in the model's topology")
+    fit.add_argument("--landmarks", type=Path, help=".json or .csv of landmarks over time, in metres or in pixels")
+    fit.add_argument("--camera", type=Path, help="rig.json of the camera that took the pixels")
+    fit.add_argument("--camera-name", help="which of the rig's cameras")
+    fit.add_argument("--still-trunk", action="store_true", help="landmarks: the trunk stays, the neck does all that is seen")
+    fit.add_argument("--order", default="pose,expression,larynx,speech", help="meshes: stages in the order they are solved in")
+    fit.add_argument("--hold", type=Path, help="meshes: curves that are given and not solved for")
+    fit.add_argument("--smooth", type=float, metavar="HZ", help="meshes: temporal prior; motion of this frequency is halved")
+    fit.add_argument("--out", type=Path, required=True, help="curves .json to write")
 
     edit = add("edit", _edit, "Scale, offset, exaggerate, key, cut and add coefficient curves, in the order written.")
     edit.add_argument("source", help="curves .json, fits.npz of a trained neck, or the word swallow for the ready curve")
@@ -182,6 +197,27 @@ def _animate(options: argparse.Namespace) -> int:
     )
     for path in animate(request, options.out):
         print(f"wrote {path}")
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from headcap.workflow.fit import FitRequest, fit
+
+    request = FitRequest(
+        model=options.model,
+        person=options.person,
+        meshes=options.meshes,
+        landmarks=options.landmarks,
+        camera=options.camera,
+        camera_name=options.camera_name,
+        order=tuple(options.order.split(",")),
+        hold=options.hold,
+        smooth_hz=options.smooth,
+        still_trunk=options.still_trunk,
+    )
+    for line in fit(request, options.out):
+        print(line)
+    print(f"wrote {options.out}")
     return 0
 
 

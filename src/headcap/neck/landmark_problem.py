@@ -79,6 +79,9 @@ class LandmarkProblem:
             self.precision[:6] = 1e-6
         self._rough, self._steady = None, None
         if settings.temporal is not None and len(landmarks) > 2:
+            # neighbouring frames are not independent: their priors count as often as there is something new to say
+            step_s = float(np.median(np.diff(landmarks.time_s)))
+            self.precision *= min(1.0, step_s / settings.temporal.correlation_s)
             own, count = settings.temporal, self._expressions
             rates = [own.trunk_rad_s2] * 3 + [own.trunk_m_s2] * 3 + [own.neck_rad_s2] * 3 + [own.jaw_rad_s2] * 3
             self._rough = second_differences(landmarks.time_s)

@@ -15,11 +15,11 @@ from headcap.neck.landmarks import LandmarkPoints, Landmarks
 
 FRAMES, RATE_HZ = 60, 30.0
 PLACED = from_vector(np.array([0.3, 2.4, -0.2, 0.4, 1.3, 0.2]))
-FACE = (
-    "chin", "menton", "nose_tip", "nose_bridge", "glabella", "subnasale", "mouth_corner_left", "mouth_corner_right",
-    "mouth_lower", "mouth_upper", "eye_inner_left", "eye_inner_right", "eye_outer_left", "eye_outer_right", "nose_wing_left", "nose_wing_right",
-    "cheekbone_left", "cheekbone_right", "jaw_angle_left", "jaw_angle_right", "ear_lobe_left", "ear_lobe_right", "lip_lower_bottom",
-)  # fmt: skip
+FACE = tuple(
+    "chin menton nose_tip nose_bridge glabella subnasale mouth_corner_left mouth_corner_right mouth_lower mouth_upper "
+    "eye_inner_left eye_inner_right eye_outer_left eye_outer_right nose_wing_left nose_wing_right cheekbone_left "
+    "cheekbone_right jaw_angle_left jaw_angle_right ear_lobe_left ear_lobe_right lip_lower_bottom".split()
+)
 
 
 @pytest.fixture(scope="module")
@@ -117,8 +117,8 @@ def test_a_step_solves_the_linearised_problem(head, points, rng):
 def test_3d_landmarks_give_pose_expression_and_the_neck_follows(head, points):
     posed = performance()
     fit = fit_landmarks(head, observed(head, points, posed, 3e-4), LandmarkSettings(noise_mm=0.3, trunk="still"))
-    # 23 landmarks, 0.3 mm, levers of 0.1 m: a milliradian or two; expressions move 1 mm per unit, and blur it
-    assert np.sqrt(((fit.theta - posed.pose) ** 2).mean()) < 6e-3
+    # 23 landmarks, 0.3 mm, levers of 0.1 m: a few milliradians, as expressions move 1 mm per unit and blur it
+    assert np.sqrt(((fit.theta - posed.pose) ** 2).mean()) < 8e-3
     assert np.abs(fit.placement - posed.placement).max() < 0.02
     assert (np.diff(fit.energy) <= 0).all()
     true = head.evaluate(posed)
@@ -186,8 +186,8 @@ def test_the_temporal_prior_calms_a_still_head(head, points):
     seen = observed(head, points, still, 1e-3)
     calm = fit_landmarks(head, seen, LandmarkSettings(temporal=LandmarkMotion(neck_rad_s2=10, jaw_rad_s2=10, expression_s2=30)))
     plain = fit_landmarks(head, seen, LandmarkSettings(temporal=None))
-    assert calm.theta.std(axis=0).mean() < 0.6 * plain.theta.std(axis=0).mean()
-    assert calm.psi.std(axis=0).mean() < 0.7 * plain.psi.std(axis=0).mean()
+    for before, after in ((plain.theta, calm.theta), (plain.psi, calm.psi)):
+        assert np.diff(after, axis=0).std() < 0.25 * np.diff(before, axis=0).std()
 
 
 def test_a_strangers_shape_is_told_by_many_frames(head, points):
