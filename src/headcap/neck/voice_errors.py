@@ -48,16 +48,15 @@ class VoiceErrors:
     shared_sound: float
     """Share of the frames left out whose window of 520 ms overlaps that of a frame trained on: 0 where takes are left out, and
     up to 1 where a single short take is cut into stretches. Errors of such frames are too small for what a new take will show."""
-    chosen: int
-    """The row of the regressor that is kept."""
     rows: tuple[VoiceErrorRow, ...]
+    """That of the regressor that is kept, then those that it is to be compared with."""
     remarks: tuple[str, ...] = ()
     """What these errors cannot tell, and what was not learnt."""
 
     @property
     def kept(self) -> VoiceErrorRow:
         """Of the regressor that is kept."""
-        return self.rows[self.chosen]
+        return self.rows[0]
 
     def row(self, feature_set: FeatureSet, *, silence_removed: bool) -> VoiceErrorRow | None:
         """The row trained in this way, or None."""

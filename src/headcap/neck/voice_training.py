@@ -26,7 +26,7 @@ from headcap.speech import (
     speech_errors,
 )
 from headcap.speech.take_sound import TakeSound
-from headcap.speech.training import left_out_regressors, regressor_of, take_moments, takes_or_stretches
+from headcap.speech.training import regressors_of, take_moments, takes_or_stretches
 
 LEAST_PARTS = 3
 """Takes or stretches: one is left out for the errors, one of the others in turn for the penalties."""
@@ -151,10 +151,11 @@ def train_group(
     moments, which above all phi's constant shows, and no voice can tell it. With `remove_silence` each person's median over
     frames that hear a pause is subtracted, so that the voice tells how far a person is from their own silence and the neutral
     head (phi = 0, tau = 0, alpha = 1) stands for it; where fewer than five such frames are heard, nothing is subtracted, which a
-    remark says. Both ways are trained and stated. On five rehearsed people, whose silence is the neutral head but for 0.6 mm
-    of phi, they err alike; with constants added to phi that vary between people as much as phi does within a take, the share of
-    the motion that is explained falls from 0.66 to 0.48 where they are left in, and stays where they are removed. The mean of
-    all frames in place of silence's median does as well for the motion, but puts a silent person into the pose of mid-speech.
+    remark says. Our features are trained and stated both ways. On five rehearsed people, whose silence is the neutral head but
+    for 0.2 mm of tau, they err alike; with constants added to phi that vary between people as much as phi does within a take,
+    the share of the motion that is explained falls from 0.66 to 0.48 where they are left in, and stays where they are
+    removed. The mean of all frames in place of silence's median does as well for the motion, but puts a silent person into the
+    pose of mid-speech.
 
     Raises `InputError` for nobody to train on, a take without sound, coefficients of another model, or too few frames.
     """
@@ -238,19 +239,16 @@ _Predicted = list[tuple[SpeechRegressor, SpeechTake]]
 def _train(
     model: NeckModel, voice: str, kind: VoiceKind, speakers: Sequence[Speaker], settings: VoiceTrainingSettings
 ) -> VoiceTraining:
-    removals = (False, True) if kind == "generic" else (False,)
-    kept = (settings.feature_set, kind == "generic" and settings.remove_silence)
-    rows, found = {}, {}
-    for removed in removals:
+    ways = _ways(kind, settings)
+    rows, found = [], {}
+    for feature_set, removed in ways:
         own = [speaker.without_silence() if removed else speaker for speaker in speakers]
         plan = _Plan.of(own, settings.ridge)
-        for feature_set in FeatureSet:
-            regressor, predicted = _regressors(plan, model.version, feature_set, settings.ridge)
-            frames = int(regressor.figures["frames"])
-            rows[feature_set, removed] = VoiceErrorRow(feature_set, removed, frames, _errors(predicted))
-            if (feature_set, removed) == kept:
-                regressor = replace(regressor, group=voice, from_silence=removed)
-                found = {"regressor": regressor, "predictions": _predictions(own, plan, predicted, model.version)}
+        regressor, predicted = _regressors(plan, model.version, feature_set, settings.ridge)
+        rows.append(VoiceErrorRow(feature_set, removed, int(regressor.figures["frames"]), _errors(predicted)))
+        if not found:
+            regressor = replace(regressor, group=voice, from_silence=removed)
+            found = {"regressor": regressor, "predictions": _predictions(own, plan, predicted, model.version)}
     errors = VoiceErrors(
         voice=voice,
         kind=kind,
@@ -259,11 +257,18 @@ def _train(
         tested=tuple(dict.fromkeys(take.person for take in found["predictions"])),
         left_out=plan.left_out,
         shared_sound=_shared_sound(speakers, plan),
-        chosen=list(rows).index(kept),
-        rows=tuple(rows.values()),
+        rows=tuple(rows),
     )
     errors = replace(errors, remarks=tuple(_remarks(errors, speakers)))
     return VoiceTraining(_counted(found["regressor"], speakers), errors, found["predictions"])
+
+
+def _ways(kind: VoiceKind, settings: VoiceTrainingSettings) -> list[tuple[FeatureSet, bool]]:
+    """Feature sets to train, and whether without people's silence: the one that is kept, and those that it is compared with."""
+    removed = kind == "generic" and settings.remove_silence
+    ways = [(settings.feature_set, removed), *((other, removed) for other in FeatureSet if other is not settings.feature_set)]
+    # only of people together does it matter, and only ours is quick enough to train once more
+    return ways if kind == "user" else [*ways, (FeatureSet.POOLED, not removed)]
 
 
 def _regressors(
@@ -271,11 +276,10 @@ def _regressors(
 ) -> tuple[SpeechRegressor, _Predicted]:
     """The regressor of all units, and those that predict what they have not heard."""
     units = [[take_moments(part, feature_set, settings) for part in unit] for unit in plan.units]
-    regressor = regressor_of(units, model_version, feature_set, settings=settings)
+    regressor, others = regressors_of(units, model_version, feature_set, settings=settings, left_out=plan.units_are_tested)
     predicted = [(regressor, take) for take in plan.tests]
-    if plan.units_are_tested:
-        others = left_out_regressors(units, model_version, feature_set, settings)
-        predicted += [(other, part) for other, unit in zip(others, plan.units, strict=True) for part in unit]
+    # nobody's others where units are not tested
+    predicted += [(other, part) for other, unit in zip(others, plan.units, strict=False) for part in unit]
     return regressor, predicted
 
 

@@ -71,7 +71,7 @@ def moments_of(blocks: Iterable[tuple[NDArray, NDArray]]) -> Moments:
             mean = rows.mean(axis=0)
             rows -= mean
             found = Moments(inputs.shape[1], len(rows), mean, rows.T @ rows)
-            total = found if total is None else _join(total, found)
+            total = found if total is None else pooled([total, found])
     if total is None:
         raise InputError(
             f"{skipped} frames without a whole set of numbers, and no other", expected="frames to learn from",
@@ -81,19 +81,15 @@ def moments_of(blocks: Iterable[tuple[NDArray, NDArray]]) -> Moments:
 
 
 def pooled(parts: Sequence[Moments]) -> Moments:
-    """Moments of several takes together."""
-    total = parts[0]
-    for part in parts[1:]:
-        total = _join(total, part)
-    return total
-
-
-def _join(first: Moments, second: Moments) -> Moments:
-    """Chan, Golub and LeVeque 1979: no difference of large sums is formed."""
-    frames = first.frames + second.frames
-    step = second.mean - first.mean
-    scatter = np.outer(step, (first.frames * second.frames / frames) * step)
-    scatter += first.scatter
-    scatter += second.scatter
-    mean = first.mean + (second.frames / frames) * step
-    return Moments(first.inputs, frames, mean, scatter, first.skipped + second.skipped, first.dimensions)
+    """Moments of several takes together (Chan, Golub and LeVeque 1979: no difference of large sums is formed)."""
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    counts = np.array([part.frames for part in parts])
+    mean = np.average([part.mean for part in parts], axis=0, weights=counts)
+    away = np.sqrt(counts)[:, None] * (np.array([part.mean for part in parts]) - mean)
+    scatter = away.T @ away
+    for part in parts:
+        scatter += part.scatter
+    skipped = sum(part.skipped for part in parts)
+    return Moments(first.inputs, int(counts.sum()), mean, scatter, skipped, first.dimensions)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
@@ -36,6 +36,8 @@ PAPER_SPEECH = RidgeForm(bias=False, standardise=False, penalty="common")
 PAPER_LARYNX = RidgeForm(bias=True, standardise=False, penalty="own")
 """R_tau and R_alpha, two regressors and so two penalties (eq. 22, 23)."""
 IMPROVED = RidgeForm(bias=True, standardise=True, penalty="leaning")
+IMPROVED_LARYNX = RidgeForm(bias=True, standardise=True, penalty="own")
+"""tau and alpha are no set of like outputs: a voice may tell the one and not the other."""
 
 
 _FEW_FRAMES = 0.6
@@ -51,7 +53,7 @@ class LinearMap:
     bias: NDArray[np.float64]
     """(q,)"""
     penalties: NDArray[np.float64]
-    """(q,) multiples of the inputs' mean power; see `RidgeSettings`."""
+    """(q,) multiples of the inputs' mean power, see `RidgeSettings`; infinite where the mean alone is predicted."""
     mean: NDArray[np.float64]
     """(q,) mean of the outputs it was trained on."""
 
@@ -79,6 +81,29 @@ class HeldOut:
         return 1 - self.squared_error.sum(axis=0) / self.squared_error_of_mean.sum(axis=0)
 
 
+Units = Sequence[Sequence[Moments]]
+"""What is left out together, each in the parts by which penalties may be chosen within it."""
+
+
+def few_coordinates(units: Units, form: RidgeForm) -> tuple[Units, Callable[[LinearMap], LinearMap]]:
+    """Units of fewer frames than inputs in coordinates of what their inputs span, and how maps of these come back.
+
+    Weights of least |R| lie in the span of the frames (eq. 25 asks for no others), so that no regression of any of them needs
+    more: of 450 frames with 2,048 inputs all regressions of a cross-validation cost a tenth. Units are returned as they are where
+    nothing is gained, or inputs are to be standardised.
+    """
+    parts = [part for unit in units for part in unit]
+    if form.standardise or sum(part.frames for part in parts) > _FEW_FRAMES * parts[0].inputs:
+        return units, lambda found: found
+    gram, _ = pooled(parts).gram(centred=False)
+    factor, order, rank, _ = dpstrf(gram, lower=1)
+    tall = np.empty((len(gram), rank))
+    tall[order - 1] = np.tril(factor[:, :rank])
+    directions = np.linalg.qr(tall)[0]
+    within = [[part.within(directions) for part in unit] for unit in units]
+    return within, lambda found: replace(found, weights=directions @ found.weights)
+
+
 def fit(moments: Moments, form: RidgeForm, penalties: NDArray | float) -> LinearMap:
     """The ridge regression of given penalties, one for all outputs or one for each (q,).
 
@@ -99,9 +124,7 @@ def cross_validated(takes: Sequence[Moments], form: RidgeForm, settings: RidgeSe
     Raises `InputError` for fewer than two takes.
     """
     penalties = np.array((settings or RidgeSettings()).penalties)
-    (takes,), directions = _few_coordinates([takes], form)
-    chosen = _choose(fold_errors(takes, form, penalties).sum(axis=0), form, penalties)
-    return _back(fit(pooled(takes), form, chosen), directions)
+    return fit(pooled(takes), form, _choose(fold_errors(takes, form, penalties).sum(axis=0), form, penalties))
 
 
 def fold_errors(takes: Sequence[Moments], form: RidgeForm, penalties: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -136,7 +159,6 @@ def left_out_maps(units: Sequence[Sequence[Moments]], form: RidgeForm, settings:
     _need(units, 2, "regressors that leave one out")
     if len(units) == 2:
         return [cross_validated(units[1 - k], form, settings) for k in range(2)]
-    units, directions = _few_coordinates(units, form)
     whole = [pooled(unit) for unit in units]
     penalties = np.array((settings or RidgeSettings()).penalties)
     curves = np.zeros((len(whole), len(penalties) + 1, whole[0].outputs))
@@ -144,8 +166,7 @@ def left_out_maps(units: Sequence[Sequence[Moments]], form: RidgeForm, settings:
         on_i, on_j = _errors(_others(whole, i, j), [whole[i], whole[j]], form, penalties)
         curves[i] += on_j
         curves[j] += on_i
-    maps = (fit(_others(whole, k), form, _choose(curves[k], form, penalties)) for k in range(len(whole)))
-    return [_back(found, directions) for found in maps]
+    return [fit(_others(whole, k), form, _choose(curves[k], form, penalties)) for k in range(len(whole))]
 
 
 def _path(moments: Moments, form: RidgeForm, penalties: NDArray) -> tuple[NDArray, list[NDArray]]:
@@ -160,30 +181,13 @@ def _path(moments: Moments, form: RidgeForm, penalties: NDArray) -> tuple[NDArra
     unit = np.trace(gram) / (moments.dimensions or len(gram)) or 1.0
     found = []
     for penalty in penalties:
+        if np.isinf(penalty):
+            found.append(np.zeros_like(cross))
+            continue
         shifted = gram.copy()
         shifted.flat[:: len(gram) + 1] += penalty * unit
         found.append(cho_solve(cho_factor(shifted, overwrite_a=True, check_finite=False), cross) / scale[:, None])
     return penalties, found
-
-
-def _few_coordinates(units: Sequence[Sequence[Moments]], form: RidgeForm) -> tuple[Sequence[Sequence[Moments]], NDArray | None]:
-    """Units of fewer frames than inputs in coordinates of what their inputs span (p, r); None where nothing is gained.
-
-    Weights of least |R| lie in the span of the frames, so that no regression of any of them needs more.
-    """
-    parts = [part for unit in units for part in unit]
-    if form.standardise or sum(part.frames for part in parts) > _FEW_FRAMES * parts[0].inputs:
-        return units, None
-    gram, _ = pooled(parts).gram(centred=False)
-    factor, order, rank, _ = dpstrf(gram, lower=1)
-    tall = np.empty((len(gram), rank))
-    tall[order - 1] = np.tril(factor)[:, :rank]
-    directions = np.linalg.qr(tall)[0]
-    return [[part.within(directions) for part in unit] for unit in units], directions
-
-
-def _back(found: LinearMap, directions: NDArray | None) -> LinearMap:
-    return found if directions is None else replace(found, weights=directions @ found.weights)
 
 
 def _bias(moments: Moments, form: RidgeForm, weights: NDArray) -> NDArray[np.float64]:
@@ -203,9 +207,12 @@ def _errors(training: Moments, tests: Sequence[Moments], form: RidgeForm, penalt
 def _choose(curve: NDArray, form: RidgeForm, penalties: NDArray) -> NDArray[np.float64]:
     """Penalty of each output (q,) from errors (penalties + 1, q), the last row those of predicting the mean.
 
-    A common one minimises the sum of errors, as eq. 25 weighs outputs.
+    A common one minimises the sum of errors, as eq. 25 weighs outputs. Infinite where the mean errs least: what inputs do not
+    tell is then not made up from noise.
     """
     errors, of_mean = curve[:-1], curve[-1]
+    if form.bias:  # the mean is what an infinite penalty leaves
+        errors, penalties = curve, np.append(penalties, np.inf)
     if form.penalty == "common":
         return np.full(errors.shape[1], penalties[errors.sum(axis=1).argmin()])
     if form.penalty == "leaning":

@@ -15,11 +15,14 @@ from headcap.speech.moments import Moments, moments_of, pooled
 from headcap.speech.regressor import SpeechCoefficients, SpeechRegressor
 from headcap.speech.ridge import (
     IMPROVED,
+    IMPROVED_LARYNX,
     PAPER_LARYNX,
     PAPER_SPEECH,
     LinearMap,
     RidgeForm,
+    Units,
     cross_validated,
+    few_coordinates,
     left_out_maps,
 )
 from headcap.speech.settings import FeatureSettings, RidgeSettings
@@ -126,61 +129,52 @@ def train_speech_regressor(
     """
     settings = settings or RidgeSettings()
     takes = takes_or_stretches(takes, settings.parts_of_one_take)
-    return regressor_of(
-        [[take_moments(take, feature_set, settings)] for take in takes],
-        model_version,
-        feature_set,
-        group=group,
-        settings=settings,
-    )
+    units = [[take_moments(take, feature_set, settings)] for take in takes]
+    return regressors_of(units, model_version, feature_set, group=group, settings=settings, left_out=False)[0]
 
 
-def regressor_of(
+def regressors_of(
     units: Sequence[Sequence[TakeMoments]],
     model_version: str,
     feature_set: FeatureSet,
     *,
     group: str = "",
     settings: RidgeSettings | None = None,
-) -> SpeechRegressor:
-    """The regressor of all units, each the parts of a person or a take; penalties by leaving units out (eq. 21 to 25).
+    left_out: bool = True,
+) -> tuple[SpeechRegressor, list[SpeechRegressor]]:
+    """The regressor of all units, each the parts of a person or a take, and for each unit that of all others (eq. 21 to 25).
 
-    Of one unit alone its parts are left out. Raises `InputError` for parts of different coefficients, or one part alone.
+    Penalties are chosen by leaving units out, the parts of one where only one is trained on; a unit has no part in the
+    penalties of its own others. Raises `InputError` for parts of different coefficients, one part alone, or, with `left_out`,
+    one unit.
     """
     parts = [part for unit in units for part in unit]
     _check_alike(parts)
-    speech_form, larynx_form = _forms(feature_set)
-    folds = units if len(units) > 1 else [[part] for part in parts]
-    speech = cross_validated([pooled([part.speech for part in fold]) for fold in folds], speech_form, settings)
-    larynx = None
+    speech_form, larynx_form = (PAPER_SPEECH, PAPER_LARYNX) if feature_set is FeatureSet.PAPER else (IMPROVED, IMPROVED_LARYNX)
+    speech = _maps([[part.speech for part in unit] for unit in units], speech_form, settings, left_out)
+    larynx: list[LinearMap | None] = [None] * len(speech)
     if parts[0].larynx is not None:
-        larynx = cross_validated([pooled([part.larynx for part in fold]) for fold in folds], larynx_form, settings)
+        larynx = _maps([[part.larynx for part in unit] for unit in units], larynx_form, settings, left_out)
     figures = {
         "takes": float(len(parts)),
         "frames": float(sum(part.speech.frames for part in parts)),
         "skipped_frames": float(sum(part.speech.skipped for part in parts)),
         "voiced_share": float(np.average([part.voiced_share for part in parts], weights=[part.frames for part in parts])),
     }
-    return SpeechRegressor(model_version, feature_set, parts[0].features, speech, larynx, group, figures=figures)
+    whole, *others = (
+        SpeechRegressor(model_version, feature_set, parts[0].features, *maps, group) for maps in zip(speech, larynx, strict=True)
+    )
+    return replace(whole, figures=figures), others
 
 
-def left_out_regressors(
-    units: Sequence[Sequence[TakeMoments]], model_version: str, feature_set: FeatureSet, settings: RidgeSettings | None = None
-) -> list[SpeechRegressor]:
-    """For each unit the regressor of all others, its penalties chosen without it; see `ridge.left_out_maps`."""
-    _check_alike([part for unit in units for part in unit])
-    speech_form, larynx_form = _forms(feature_set)
-    speech = left_out_maps([[part.speech for part in unit] for unit in units], speech_form, settings)
-    larynx: list[LinearMap | None] = [None] * len(units)
-    if units[0][0].larynx is not None:
-        larynx = left_out_maps([[part.larynx for part in unit] for unit in units], larynx_form, settings)
-    features = units[0][0].features
-    return [SpeechRegressor(model_version, feature_set, features, *maps) for maps in zip(speech, larynx, strict=True)]
-
-
-def _forms(feature_set: FeatureSet) -> tuple[RidgeForm, RidgeForm]:
-    """Of phi, and of tau and alpha."""
-    return (PAPER_SPEECH, PAPER_LARYNX) if feature_set is FeatureSet.PAPER else (IMPROVED, IMPROVED)
+def _maps(units: Units, form: RidgeForm, settings: RidgeSettings | None, left_out: bool) -> list[LinearMap]:
+    """Of all units, then of all others of each."""
+    if len(units) > 2:  # parts are asked for only where too few units are left
+        units = [[pooled(unit)] for unit in units]
+    units, back = few_coordinates(units, form)
+    folds = [pooled(unit) for unit in units] if len(units) > 1 else units[0]
+    maps = [cross_validated(folds, form, settings), *(left_out_maps(units, form, settings) if left_out else ())]
+    return [back(found) for found in maps]
 
 
 def speech_errors(regressor: SpeechRegressor, takes: Iterable[SpeechTake]) -> SpeechErrors:

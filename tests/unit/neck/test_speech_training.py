@@ -9,6 +9,7 @@ from headcap.artifacts import ArtifactError
 from headcap.errors import InputError
 from headcap.heads import HeadCoefficients
 from headcap.neck import NeckModel, SpeechFitter, SpeechTrainingSettings, larynx_map, train_speech
+from headcap.neck.subjects import JoinedMeshes
 
 
 def test_the_energy_falls_at_every_step(trained):
@@ -74,6 +75,47 @@ def test_frames_that_are_not_numbers_are_left_out(model, chart, spoken):
     assert not fit.known[7]
     assert fit.known.sum() == 39
     assert np.isnan(fit.phi[7]).all()
+
+
+class Watched(JoinedMeshes):
+    """Remembers how many frames were asked for at a time."""
+
+    most = 0
+
+    def __getitem__(self, chosen):
+        found = super().__getitem__(chosen)
+        self.most = max(self.most, len(found))
+        return found
+
+
+def test_meshes_of_several_files_train_as_one_array_and_are_read_in_blocks(model, chart, spoken, tmp_path, monkeypatch):
+    monkeypatch.setattr("headcap.neck.speech_training.BLOCK", 32)
+    whole = [one.subject.meshes[:80].copy() for one in spoken]
+    whole[0][7, 100] = np.nan
+    empty = larynx_map(model, chart, np.array([0.0, 0.0, 1.0]))
+    lazy = []
+    for k, meshes in enumerate(whole):
+        parts = []
+        for first, last in ((0, 30), (30, 31), (31, 80)):
+            np.save(tmp_path / f"{k}_{first}.npy", meshes[first:last])
+            parts.append(np.load(tmp_path / f"{k}_{first}.npy", mmap_mode="r"))
+        lazy.append(Watched(parts, meshes.shape[1]))
+    direct, joined = (
+        train_speech(
+            model,
+            empty,
+            [replace(one.subject, meshes=meshes) for one, meshes in zip(spoken, given, strict=True)],
+            SpeechTrainingSettings(iterations=2, reduced=12),
+        )
+        for given in (whole, lazy)
+    )
+    np.testing.assert_array_equal(joined.model.head.speech_basis, direct.model.head.speech_basis)
+    assert joined.energy == direct.energy
+    for name in ("s1", "s2"):
+        for own, other in zip(vars(joined.fits[name]).values(), vars(direct.fits[name]).values(), strict=True):
+            np.testing.assert_array_equal(own, other)
+        np.testing.assert_array_equal(joined.model.person(name).base, direct.model.person(name).base)
+    assert max(meshes.most for meshes in lazy) == 32
 
 
 @pytest.mark.parametrize("change", ["few", "topology"])

@@ -10,7 +10,7 @@ from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.speech_fitting import SpeechFit
 from headcap.neck.voice_figure import save_voice_figure
 from headcap.neck.voice_training import VoiceTrainingSettings, train_voice
-from headcap.speech import SpeechCoefficients, SpeechRegressor
+from headcap.speech import FeatureSet, SpeechCoefficients, SpeechRegressor
 
 
 def _cut(take: TakeFit, frames: int) -> TakeFit:
@@ -90,6 +90,55 @@ def test_frames_that_were_not_fitted_are_skipped_and_counted(neck, heard):
     assert np.isfinite(found.predictions[0].predicted.tau).all()
 
 
+def test_frames_at_which_no_sound_was_recorded_are_skipped_and_counted(neck, heard):
+    """A recorder that was stopped after 4 s of 8: silence in its place would be learnt."""
+    fit, sound = heard[0]
+    stopped = replace(sound, samples=sound.samples[: 4 * 16000])
+    found = train_voice(neck, NeckFits("somebody", (fit,)), {fit.take: stopped})
+    figures = found.figures()
+    assert (figures["speech.frames"], figures["speech.skipped_frames"]) == (120, 120)
+    assert found.errors.kept.errors.frames == 120
+    assert np.isnan(found.predictions[0].fitted.tau[120:]).all()
+
+
+def test_a_take_without_any_frame_fitted_and_heard_is_told(neck, heard):
+    (fit, sound), (other, later) = heard[:2]
+    gone = replace(later, samples=later.samples[:16000], first_sample_s=7.2)
+    nothing = replace(other, speech=SpeechFit(*(np.full_like(part, np.nan) for part in vars(other.speech).values())))
+    for left, heard_of_it in ((nothing, later), (_cut(other, 60), gone)):
+        sounds = {fit.take: sound, other.take: heard_of_it}
+        if heard_of_it is gone:
+            with pytest.raises(InputError, match="somebody talk_2, cam: none of 60 visual frames lies in"):
+                train_voice(neck, NeckFits("somebody", (fit, left)), sounds)
+            continue
+        found = train_voice(neck, NeckFits("somebody", (fit, left)), sounds)
+        assert "somebody talk_2: no frame was fitted and heard" in found.errors.remarks
+        assert (found.figures()["speech.takes"], found.figures()["speech.skipped_frames"]) == (1, 240)
+    with pytest.raises(InputError, match="no frame of talk_2 was both fitted and heard"):
+        train_voice(neck, NeckFits("somebody", (nothing,)), {other.take: later})
+
+
+def test_takes_in_which_nothing_is_said_are_left_aside(neck, heard):
+    fit, sound = heard[0]
+    silent = replace(heard[1][0], kind="pose")
+    found = train_voice(neck, NeckFits("somebody", (_cut(fit, 72), silent)), {fit.take: sound})
+    assert found.figures()["speech.takes"] == 1
+    with pytest.raises(InputError, match="none of 1 fitted takes is of kind speech"):
+        train_voice(neck, NeckFits("somebody", (silent,)), {})
+
+
+def test_each_training_states_the_papers_features_beside_ours(voice_training):
+    ours, paper = voice_training.errors.rows
+    assert (ours.feature_set, paper.feature_set) == (FeatureSet.POOLED, FeatureSet.PAPER)
+    assert paper.errors.phi < paper.errors.phi_of_mean == pytest.approx(ours.errors.phi_of_mean)
+
+
+def test_a_person_whom_the_model_has_not_seen_has_a_voice_of_their_own(neck, heard):
+    fit, sound = heard[0]
+    found = train_voice(neck, NeckFits("somebody", (_cut(fit, 72),), held_out=True), {fit.take: sound})
+    assert found.errors.trained == found.errors.tested == ("somebody",)
+
+
 def test_a_voiceless_take_still_trains(neck, heard, rng):
     """Whispering: noise whose loudness goes with the slide; no pitch anywhere."""
     fit, sound = heard[0]
@@ -104,6 +153,9 @@ def test_what_cannot_be_trained_is_refused(neck, heard):
     fit, sound = heard[0]
     with pytest.raises(InputError, match="somebody: no sound of talk_1"):
         train_voice(neck, NeckFits("somebody", (fit,)), {})
+    wide = replace(fit, speech=replace(fit.speech, phi=np.zeros((len(fit.time_s), 20))))
+    with pytest.raises(InputError, match="20 blendshape weights, and a model of 3"):
+        train_voice(neck, NeckFits("somebody", (wide,)), {fit.take: sound})
     with pytest.raises(InputError, match="4 fitted frames and no other take"):
         train_voice(neck, NeckFits("somebody", (_cut(fit, 4),)), {fit.take: sound})
     with pytest.raises(InputError, match=r"somebody talk_1, cam: .* of sound"):

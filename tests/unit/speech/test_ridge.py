@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from headcap.speech.ridge import (
     PAPER_SPEECH,
     RidgeForm,
     cross_validated,
+    few_coordinates,
     fit,
     fold_errors,
     held_out,
@@ -63,7 +66,9 @@ def test_fewer_frames_than_inputs_minimise_it_too(rng, form):
     for x, _ in takes:
         x[:, 7], x[:, 9] = 4.0, x[:, 8]
     parts = _moments(takes)
-    found = cross_validated(parts, form)
+    (within,), back = few_coordinates([parts], form)
+    assert within[0].inputs == 30
+    found = back(cross_validated(within, form))
     for one, output in zip(found.penalties, range(3), strict=True):
         direct = fit(pooled(parts), form, one)
         np.testing.assert_allclose(found.weights[:, output], direct.weights[:, output], rtol=1e-6, atol=1e-9)
@@ -76,8 +81,33 @@ def test_fewer_frames_than_inputs_minimise_it_too(rng, form):
         for row, penalty in zip(errors, penalties, strict=True):
             others = fit(pooled([part for j, part in enumerate(parts) if j != k]), form, penalty)
             row += ((others(x) - y) ** 2).sum(axis=0)
-    best = errors.argmin(axis=0) if form.penalty == "own" else np.full(3, errors.sum(axis=1).argmin())
-    np.testing.assert_array_equal(found.penalties, penalties[best])
+    if form is PAPER_SPEECH:  # one for all; the mean is none of its regressions, which have no bias
+        np.testing.assert_array_equal(found.penalties, penalties[errors.sum(axis=1).argmin()])
+    else:
+        of_mean = sum(((y - np.concatenate([o for j, (_, o) in enumerate(takes) if j != k]).mean(0)) ** 2).sum(0)
+                      for k, (_, y) in enumerate(takes))  # fmt: skip
+        expected = np.where(errors.min(axis=0) <= of_mean, penalties[errors.argmin(axis=0)], np.inf)
+        np.testing.assert_array_equal(found.penalties, expected)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_inputs_do_not_tell_is_predicted_by_its_mean(takes, rng, form):
+    """The first output follows the inputs; the second does so in two takes and against them in the two others."""
+    signs = (1, -1, 1, -1)
+    deviations = [y[:, :1] - y[:, :1].mean() for _, y in takes]
+    parts = [
+        moments_of([(x[:90], np.hstack([y[:90, :1], 5 + sign * off[:90] + 0.1 * rng.normal(size=(90, 1))]))])
+        for (x, y), sign, off in zip(takes, signs, deviations, strict=True)
+    ]
+    found = cross_validated(parts, form)
+    if form.bias:
+        own = cross_validated(parts, replace(form, penalty="own"))
+        assert not own.weights[:, 1].any()
+        assert np.isfinite(own.penalties[0])
+        assert np.isinf(own.penalties[1])
+        assert own.bias[1] == pytest.approx(own.mean[1])
+    else:
+        assert np.isfinite(found.penalties).all()
 
 
 @pytest.mark.parametrize("form", FORMS)
