@@ -51,7 +51,7 @@ class LandmarkPoints:
     ) -> LandmarkPoints:
         """Landmarks in triangles (k,) of the model at barycentric coordinates (k, 3)."""
         triangles = np.asarray(triangles, np.int64)
-        if len(triangles) and not (0 <= triangles.min() and triangles.max() < len(model.triangles)):
+        if len(triangles) and not (triangles.min() >= 0 and triangles.max() < len(model.triangles)):
             raise _refused(f"a landmark in triangle {triangles.max()}", f"one of {len(model.triangles)} of {model.name}")
         names = [f"triangle {t}" for t in triangles] if names is None else names
         corners = model.triangles[triangles].astype(np.int64)
@@ -66,7 +66,7 @@ class LandmarkPoints:
     def checked(self, model: HeadModel) -> LandmarkPoints:
         """These; raises `InputError` for vertices the model has not, or shares that do not make a point of the triangle."""
         corners, shares = self.corners, self.shares
-        if len(corners) and not (0 <= corners.min() and corners.max() < len(model.vertices)):
+        if len(corners) and not (corners.min() >= 0 and corners.max() < len(model.vertices)):
             raise _refused(f"a landmark on vertex {corners.max()}", f"vertices 0 to {len(model.vertices) - 1} of {model.name}")
         wrong = (np.abs(shares.sum(axis=1) - 1.0) > 1e-3) | (shares < -1e-6).any(axis=1) | ~np.isfinite(shares).all(axis=1)
         if shares.shape != corners.shape or wrong.any():

@@ -29,6 +29,13 @@ class NeckPerson:
     larynx: LarynxMap
     """W and t_s; tau = 0, alpha = 1 give the neutral head back (eq. 1)."""
 
+    @property
+    def neutral(self) -> NDArray[np.float64]:
+        """T of eq. 1, (n, 3) metres: the base shape with the larynx at rest."""
+        out = np.array(self.base, float)
+        out[self.larynx.vertices] += self.larynx.offset(0.0, 1.0).values
+        return out
+
     @classmethod
     def of(cls, name: str, neutral: NDArray, triangles: NDArray, empty: LarynxMap) -> NeckPerson:
         """From a neutral head (n, 3) alone, by eq. 8 to 10; `empty` is the topology's larynx map without weights."""

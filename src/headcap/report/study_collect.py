@@ -10,10 +10,13 @@ from headcap.artifacts import Manifest
 from headcap.artifacts.manifest import manifest_path
 from headcap.evaluation.metrics import load_metrics
 from headcap.evaluation.neck_study import NeckStudy
+from headcap.heads import HeadModel
 from headcap.neck.curves import CoefficientCurves
 from headcap.neck.fits import NeckFits, TakeFit
+from headcap.neck.landmark_fitting import fit_landmarks
+from headcap.neck.landmarks import LandmarkPoints, Landmarks
 from headcap.neck.model import NeckModel
-from headcap.neck.subjects import NeckSubject, SubjectFiles
+from headcap.neck.subjects import JoinedMeshes, NeckSubject, SubjectFiles
 from headcap.report.provenance import versions
 from headcap.report.study_inputs import Animation, StudyInputs
 from headcap.speech import SpeechRegressor
@@ -95,7 +98,7 @@ class _Scene:
         return shown[:SHOWN_VOICES]
 
     def faces(self) -> list[Animation]:
-        """Figure 13: head, jaw and face as fitted, the neck as they have it; of somebody held out where there is one."""
+        """Figure 13: landmarks of a face drive head and neck; of somebody held out where there is one."""
         moving = [fits for fits in self.fits if fits.of_kind("expression", "free")]
         told = sorted(moving, key=lambda fits: not fits.held_out)[:1]
         return [self._by_face(fits, fits.of_kind("expression", "free")[0]) for fits in told]
@@ -112,13 +115,21 @@ class _Scene:
     def _by_face(self, fits: NeckFits, take: TakeFit) -> Animation:
         fitted = CoefficientCurves.of_take(take, self.model.version, fits.person)
         person = NeckModel.load(self.models[fits.person]).person(fits.person)
-        driven = fitted.only("neck", "jaw", "psi")
-        return Animation(f"{fits.person}, {take.take}", "face", person, driven, self._meshes(fits.person, take), fitted)
+        meshes, head = self._meshes(fits.person, take), self.model.head.personal(person.neutral)
+        driven = fit_landmarks(head, face_landmarks(head, meshes, take)).curves(self.model.version, fits.person)
+        return Animation(f"{fits.person}, {take.take}", "face", person, driven, meshes, fitted)
 
     def _meshes(self, person: str, take: TakeFit):
         files = next(files for files in self.files.people if files.name == person)
         subject: NeckSubject = files.load(self.model.head)
         return next(found.meshes for found in subject.takes if found.name == take.take)
+
+
+def face_landmarks(head: HeadModel, meshes: JoinedMeshes, take: TakeFit) -> Landmarks:
+    """The model's landmarks on the face as they lie on meshes (f, n, 3): all that a tracker of faces sees of a person."""
+    names = [name for name, vertex in sorted(head.landmarks.items()) if head.regions["face"][vertex]]
+    points = LandmarkPoints.named(head, names)
+    return Landmarks(points, take.time_s, points.at(meshes[:].astype(float)))
 
 
 def _manifests(files: StudyFiles) -> tuple[tuple[str, Manifest], ...]:

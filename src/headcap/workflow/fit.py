@@ -112,9 +112,7 @@ def _of_landmarks(request: FitRequest, model: NeckModel, person: NeckPerson) -> 
 
 def _neutral(model: NeckModel, person: NeckPerson) -> HeadModel:
     """The person's head model with their larynx at rest."""
-    base = np.array(person.base)
-    base[person.larynx.vertices] += person.larynx.offset(0.0, 1.0).values
-    return model.head.personal(base)
+    return model.head.personal(person.neutral)
 
 
 def _held(request: FitRequest, model: NeckModel, time_s: NDArray) -> dict[str, NDArray]:
