@@ -145,7 +145,7 @@ def _run(options: argparse.Namespace) -> int:
     plan = load_plan(read_document(options.session))
     status = run_workflow(options.session, options.options, show=lambda line: print(line, flush=True))
     if status == 0:
-        for name in plan.sessions:
+        for name in [plan.name] if plan.is_session else [*plan.sessions, plan.name]:
             print(summary(Path("results") / name))
     return status
 

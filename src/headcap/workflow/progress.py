@@ -25,6 +25,10 @@ USUAL_S = {
     "track_start": 25.0,
     "track_anchors": 150.0,
     "track": 80.0,
+    "train_expressions": 60.0,
+    "train_neck": 40.0,
+    "fit_neck": 10.0,
+    "train_speech": 12.0,
     "evaluate": 40.0,
     "report": 15.0,
 }

@@ -45,7 +45,6 @@ VOICE = VoiceErrors(
     tested=("anna",),
     left_out="takes",
     shared_sound=0.0,
-    chosen=1,
     rows=(
         VoiceErrorRow(FeatureSet.PAPER, False, 240, ERRORS),
         VoiceErrorRow(FeatureSet.POOLED, False, 240, ERRORS),
