@@ -72,8 +72,10 @@ include: "rules/evaluate_neck.smk"
 include: "rules/report_neck.smk"
 include: "rules/evaluate.smk"
 
+
 if not PLAN.is_session:
 
     include: "rules/evaluate_study.smk"
+
 
 include: "rules/report.smk"

@@ -363,7 +363,10 @@ def subject_files(person, *kinds):
     kinds = PLAN.takes(person, *kinds)
     if person in PLAN.sessions:
         folder = f"results/{person}"
-        rig, template = f"{folder}/calibrate/rig.json", f"{folder}/register/template.npz"
+        rig, template = (
+            f"{folder}/calibrate/rig.json",
+            f"{folder}/register/template.npz",
+        )
         sequences = {take: f"{folder}/track/{take}/sequence.json" for take in kinds}
     else:
         rig, template = None, PLAN.meshes[person].template

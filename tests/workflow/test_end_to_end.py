@@ -65,11 +65,12 @@ def test_there_is_a_mesh_for_every_frame(finished: Path) -> None:
 
 def test_the_speech_take_trains_a_neck(finished: Path) -> None:
     results = finished / "results/tiny"
-    (fit,) = NeckFits.load(results / "train_neck/fits.npz").takes
+    (fit,) = NeckFits.load(results / "fit_neck/tiny/fits.npz").takes
     model = NeckModel.load(results / "train_neck/model.npz")
     assert fit.take == "speech_01"
     assert fit.speech.phi.shape == (len(fit.time_s), len(model.head.speech_basis))
     assert model.person("tiny").larynx.weights_m.any()
+    assert (results / "report_neck/neck.html").stat().st_size > 50_000
 
 
 def test_report_and_provenance_reach_from_end_to_beginning(finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:

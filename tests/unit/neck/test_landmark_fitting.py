@@ -16,9 +16,31 @@ from headcap.neck.landmarks import LandmarkPoints, Landmarks
 FRAMES, RATE_HZ = 60, 30.0
 PLACED = from_vector(np.array([0.3, 2.4, -0.2, 0.4, 1.3, 0.2]))
 FACE = tuple(
-    "chin menton nose_tip nose_bridge glabella subnasale mouth_corner_left mouth_corner_right mouth_lower mouth_upper "
-    "eye_inner_left eye_inner_right eye_outer_left eye_outer_right nose_wing_left nose_wing_right cheekbone_left "
-    "cheekbone_right jaw_angle_left jaw_angle_right ear_lobe_left ear_lobe_right lip_lower_bottom".split()
+    [
+        "chin",
+        "menton",
+        "nose_tip",
+        "nose_bridge",
+        "glabella",
+        "subnasale",
+        "mouth_corner_left",
+        "mouth_corner_right",
+        "mouth_lower",
+        "mouth_upper",
+        "eye_inner_left",
+        "eye_inner_right",
+        "eye_outer_left",
+        "eye_outer_right",
+        "nose_wing_left",
+        "nose_wing_right",
+        "cheekbone_left",
+        "cheekbone_right",
+        "jaw_angle_left",
+        "jaw_angle_right",
+        "ear_lobe_left",
+        "ear_lobe_right",
+        "lip_lower_bottom",
+    ]
 )
 
 
