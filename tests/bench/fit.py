@@ -1,7 +1,8 @@
-"""Fitting pose and expression to tracked meshes at the base head's 13 thousand vertices, one core.
+"""Fitting tracked meshes at the base head's 13 thousand vertices, one core: pose and expression, everything, and landmarks.
 
-Limit: 100 frames per second. The peer takes expression and pose in turn with the head model's own functions, one frame after the
-other over the same vertices: a pose step (`HeadModel.pose_derivative`), then all expressions, until both settle.
+Limit: 100 frames per second, for pose and expression as for larynx and speech with them. The peer takes expression and pose in
+turn with the head model's own functions, one frame after the other over the same vertices: a pose step
+(`HeadModel.pose_derivative`), then all expressions, until both settle.
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from run import measure, write
 
 from headcap.geometry.rotations import rotation_matrices
 from headcap.heads import HeadCoefficients, HeadModel, procedural_model
+from headcap.neck import NeckModel, NeckPerson, build_chart, larynx_map
 from headcap.neck.compensation import FitSettings, SequenceFitter, compensate
+from headcap.neck.fitting import SequenceFitSettings, fit_sequence
+from headcap.neck.landmark_fitting import fit_landmarks
+from headcap.neck.landmarks import LandmarkPoints, Landmarks
+from headcap.neck.temporal import TemporalPrior
 
 FRAMES, PEER_FRAMES, PEER_STEPS = 400, 2, 12
 RATE_HZ = 60.0
@@ -51,8 +57,52 @@ def run(out_path: Path) -> None:
             "pose_error_deg": error_deg,
             "peer_pose_error_deg": float(np.degrees(np.abs(theirs[-1] - truth.pose[:PEER_FRAMES])).max()),
             "psi_error_rms": float(np.sqrt(np.mean((found.psi - truth.expression) ** 2))),
-        },
+        }
+        | _everything(model, truth, random)
+        | _landmarks(model, truth, random),
     )
+
+
+def _everything(model: HeadModel, truth: HeadCoefficients, random: np.random.Generator) -> dict[str, float]:
+    """Pose, expression, larynx and 20 speech blendshapes, with the neck's error, and with a temporal prior as well."""
+    neck, person = _neck(model, random)
+    t = np.arange(FRAMES) / RATE_HZ
+    tau, phi = 5e-3 * np.sin(9 * t), 0.02 * np.sin(np.outer(t, np.arange(5, 25)))
+    spoken = replace(truth, speech=phi)
+    meshes = neck.evaluate(person, spoken, tau, 1.0) + random.normal(0, 2e-4, (FRAMES, *model.vertices.shape)).astype(np.float32)
+    fits = []
+    plain = measure(lambda: fits.append(fit_sequence(neck, person, meshes)), repeats=3)
+    steady = SequenceFitSettings(temporal=TemporalPrior())
+    smooth = measure(lambda: fit_sequence(neck, person, meshes, settings=steady), repeats=3)
+    correlation = float(np.corrcoef(fits[-1].tau_m, tau)[0, 1])
+    if correlation < 0.95:
+        raise AssertionError(f"slides correlate with the truth by {correlation:.3f}")
+    return {
+        "frames_per_second_everything": FRAMES / plain["cpu_seconds"],
+        "frames_per_second_everything_smoothed": FRAMES / smooth["cpu_seconds"],
+        "larynx_correlation": correlation,
+    }
+
+
+def _landmarks(model: HeadModel, truth: HeadCoefficients, random: np.random.Generator) -> dict[str, float]:
+    """33 landmarks in 3D, 30 expression coefficients, tied over time."""
+    points = LandmarkPoints.named(model, sorted(model.landmarks))
+    seen = points.at(model.evaluate(truth).astype(float)) + random.normal(0, 5e-4, (FRAMES, len(points), 3))
+    given = Landmarks(points, np.arange(FRAMES) / RATE_HZ, seen)
+    took = measure(lambda: fit_landmarks(model, given), repeats=2)
+    return {"frames_per_second_landmarks": FRAMES / took["cpu_seconds"]}
+
+
+def _neck(model: HeadModel, random: np.random.Generator) -> tuple[NeckModel, NeckPerson]:
+    """A larynx 5 mm high and smooth orthonormal speech blendshapes of the neck."""
+    empty = larynx_map(model, build_chart(model), np.array([0.0, -0.2, 1.0]))
+    larynx = empty.fitted(5e-3 * np.exp(-0.5 * (empty.uv_m**2).sum(axis=1) / 0.008**2))
+    away = model.vertices[model.regions["neck"]].mean(axis=0) - model.vertices
+    bulges = np.exp(-0.5 * (away**2).sum(axis=1) / 0.05**2)[:, None] * np.sin(40 * random.normal(size=(20, 1, 3)) * away)
+    basis = np.linalg.qr(bulges.reshape(20, -1).T)[0].T.reshape(20, -1, 3)
+    head = replace(model, speech_basis=basis.astype(np.float32))
+    person = NeckPerson("somebody", np.asarray(model.vertices, float), larynx)
+    return NeckModel(head, (person,)), person
 
 
 def _person(random: np.random.Generator) -> HeadModel:
