@@ -79,9 +79,6 @@ class LandmarkProblem:
             self.precision[:6] = 1e-6
         self._rough, self._steady = None, None
         if settings.temporal is not None and len(landmarks) > 2:
-            # neighbouring frames are not independent: their priors count as often as there is something new to say
-            step_s = float(np.median(np.diff(landmarks.time_s)))
-            self.precision *= min(1.0, step_s / settings.temporal.correlation_s)
             own, count = settings.temporal, self._expressions
             rates = [own.trunk_rad_s2] * 3 + [own.trunk_m_s2] * 3 + [own.neck_rad_s2] * 3 + [own.jaw_rad_s2] * 3
             self._rough = second_differences(landmarks.time_s)
@@ -257,7 +254,7 @@ class Normal:
 
     def moved(self, state: State, damping: float) -> State:
         """The state after a damped step."""
-        f, q, s = self.cross.shape
+        f, _, s = self.cross.shape
         blocks, shared = self.blocks.copy(), self.shared.copy()
         diagonal = np.einsum("fqq->fq", blocks)
         diagonal += damping * diagonal + 1e-12

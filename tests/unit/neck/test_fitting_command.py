@@ -23,7 +23,7 @@ PLACED = from_vector(np.array([0.1, 0.4, 0.0, 0.2, 1.1, 0.1]))
 def posed() -> HeadCoefficients:
     t = np.arange(FRAMES) / RATE_HZ
     theta = np.zeros((FRAMES, 2, 3))
-    theta[:, 0, 1], theta[:, 1, 0] = 0.3 * np.sin(4 * t), 0.1 * np.sin(6 * t) ** 2
+    theta[:, 0, 1], theta[:, 1, 0] = 0.3 * np.sin(2 * np.pi * t), 0.1 * np.sin(6 * t) ** 2
     placement = np.tile(PLACED, (FRAMES, 1, 1))
     return HeadCoefficients(None, np.sin(np.outer(t, [3.0, 5.0, 7.0])), theta, np.zeros((FRAMES, 3)), placement)
 
