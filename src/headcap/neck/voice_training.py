@@ -152,10 +152,10 @@ def train_group(
     frames that hear a pause is subtracted, so that the voice tells how far a person is from their own silence and the neutral
     head (phi = 0, tau = 0, alpha = 1) stands for it; where fewer than five such frames are heard, nothing is subtracted, which a
     remark says. Our features are trained and stated both ways. On five rehearsed people, whose silence is the neutral head but
-    for 0.2 mm of tau, they err alike; with constants added to phi that vary between people as much as phi does within a take,
-    the share of the motion that is explained falls from 0.66 to 0.48 where they are left in, and stays where they are
-    removed. The mean of all frames in place of silence's median does as well for the motion, but puts a silent person into the
-    pose of mid-speech.
+    for 0.2 mm of tau and 1 mm of phi, they err alike; with constants of 20 mm added to phi, by as much as its leading weights
+    vary within a take, the share of the motion that is explained falls from 0.68 to 0.51 where they are left in, and stays where
+    they are removed. The mean of all frames in place of silence's median does as well for the motion, but puts a silent
+    person into the pose of mid-speech.
 
     Raises `InputError` for nobody to train on, a take without sound, coefficients of another model, or too few frames.
     """
