@@ -223,7 +223,8 @@ class _Plan:
         trained, stretches = [s for s in speakers if not s.held_out], max(settings.parts_of_one_take, LEAST_PARTS)
         tests = tuple(take for speaker in speakers if speaker.held_out for take in speaker.spoken)
         if tests or len(trained) > 1:
-            units = [tuple(takes_or_stretches(speaker.spoken, stretches)) for speaker in trained]
+            whole = len(trained) > 2  # of fewer, penalties are chosen within one person
+            units = [speaker.spoken if whole else tuple(takes_or_stretches(speaker.spoken, stretches)) for speaker in trained]
             return cls(tuple(units), tests, "people", len(trained) > 1)
         takes = trained[0].spoken
         if len(takes) == 2:  # either is trained on alone in its turn
