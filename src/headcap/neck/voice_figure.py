@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from headcap.artifacts import atomic_path
 from headcap.neck.figure import SHOWN_WEIGHTS
 from headcap.neck.voice_training import TakePrediction, VoiceTraining
 
+MOST_ROWS = 10
+"""Takes drawn in a picture."""
 _FITTED, _HEARD = "0.55", "#00877a"
 _ONE = {"people": "person", "takes": "take", "stretches": "stretch"}
 
@@ -20,7 +23,7 @@ def save_voice_figure(path: Path | str, training: VoiceTraining) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    takes = training.predictions
+    takes = _drawn(training.predictions)
     figure = Figure(figsize=(14, 1.0 + 2.4 * len(takes)), layout="constrained", dpi=100)
     FigureCanvasAgg(figure)
     columns = len(_shown(takes[0]))
@@ -30,6 +33,13 @@ def save_voice_figure(path: Path | str, training: VoiceTraining) -> None:
     figure.suptitle("\n".join([*told, *training.errors.remarks]), fontsize=10)
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", metadata={"Software": None})
+
+
+def _drawn(takes: Sequence[TakePrediction]) -> Sequence[TakePrediction]:
+    """All takes, or the first of each person where they are too many for a picture."""
+    if len(takes) <= MOST_ROWS:
+        return takes
+    return list({take.person: take for take in reversed(takes)}.values())[::-1][:MOST_ROWS]
 
 
 def _draw_take(row, take: TakePrediction) -> None:

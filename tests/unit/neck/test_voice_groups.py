@@ -10,7 +10,7 @@ from headcap.errors import InputError
 from headcap.neck.fits import NeckFits
 from headcap.neck.speech_fitting import SpeechFit
 from headcap.neck.voice_errors import VoiceErrors
-from headcap.neck.voice_figure import save_voice_figure
+from headcap.neck.voice_figure import _drawn, save_voice_figure
 from headcap.neck.voice_training import Voice, VoiceTrainingSettings, train_group, train_voice_of
 from headcap.speech import FeatureSet
 
@@ -168,3 +168,10 @@ def test_what_cannot_be_trained_is_refused(neck, people, moved):
         train_group(neck, moved[:2], {"ann": people[1]["ann"]}, FEW, group="all")
     with pytest.raises(InputError, match="bob: no sound of talk_1"):
         train_group(neck, moved[:2], people[1] | {"bob": {"talk_0": people[1]["bob"]["talk_0"]}}, FEW, group="all")
+
+
+def test_of_many_takes_each_persons_first_is_drawn(group):
+    one = group.predictions[0]
+    many = [replace(one, person=person, take=f"talk_{k}") for person in ("ann", "bob") for k in range(7)]
+    assert [(take.person, take.take) for take in _drawn(many)] == [("ann", "talk_0"), ("bob", "talk_0")]
+    assert _drawn(many[:7]) == many[:7]
