@@ -164,7 +164,9 @@ def _metrics(options: argparse.Namespace) -> int:
 
     path = options.results / "metrics.json" if options.results.is_dir() else options.results
     figures = load_metrics(path)
-    print("\n".join(describe(figure) for figure in figures))
+    sessions = {figure.session for figure in figures}
+    alone = sessions.pop() if len(sessions) == 1 else None
+    print("\n".join(describe(figure, of_session=alone) for figure in figures))
     return 0 if all(figure.ok is not False for figure in figures) else 1
 
 

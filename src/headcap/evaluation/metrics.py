@@ -59,10 +59,12 @@ def join_metrics(paths: Iterable[Path]) -> list[Figure]:
     return list({(figure.name, figure.session, figure.take): figure for figure in figures}.values())
 
 
-def describe(figure: Figure) -> str:
-    """One line for a terminal: value, unit, limit and verdict."""
+def describe(figure: Figure, *, of_session: str | None = None) -> str:
+    """One line for a terminal: value, unit, limit and verdict; the session is named where it is not `of_session`."""
+    named = [part for part in (figure.session if of_session != figure.session else "", figure.take) if part]
+    where = f"{figure.name:<36} {' '.join(named):<18}"
     value = "not measured" if figure.value is None else f"{figure.value:.4g} {figure.unit}".rstrip()
     if figure.limit is None:
-        return f"{figure.name:<36} {figure.take or '':<16} {value}"
+        return f"{where} {value}"
     sign, verdict = (">=" if figure.at_least else "<="), ("ok" if figure.ok else "PAST ITS LIMIT")
-    return f"{figure.name:<36} {figure.take or '':<16} {value} ({sign} {figure.limit:g}: {verdict})"
+    return f"{where} {value} ({sign} {figure.limit:g}: {verdict})"

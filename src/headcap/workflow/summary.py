@@ -12,5 +12,5 @@ def summary(folder: Path) -> str:
     metrics = folder / "metrics.json"
     if metrics.is_file():
         held = [figure for figure in load_metrics(metrics) if figure.limit is not None]
-        lines += [f"  {describe(figure)}" for figure in held]
+        lines += [f"  {describe(figure, of_session=folder.name)}" for figure in held]
     return "\n".join(lines)
