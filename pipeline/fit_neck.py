@@ -5,10 +5,10 @@ from pathlib import Path
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads.model import HeadModel
 from headcap.neck.figure import save_fits_figure
+from headcap.neck.fitting.subject import fit_subject
 from headcap.neck.model import NeckModel
-from headcap.neck.study_training import NeckTrainingSettings, person_of
-from headcap.neck.subject_fitting import fit_subject
 from headcap.neck.subjects import SubjectFiles
+from headcap.neck.training.study import NeckTrainingSettings, person_of
 
 
 def run(

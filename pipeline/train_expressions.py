@@ -5,8 +5,8 @@ from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads import procedural_model
-from headcap.neck.pose_expression_training import PoseExpressionSettings, train_pose_expression
 from headcap.neck.subjects import SubjectFiles
+from headcap.neck.training.pose_expression import PoseExpressionSettings, train_pose_expression
 
 PROGRESS = logging.getLogger("headcap.progress")
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads.model import HeadModel
 from headcap.neck.figure import save_training_figure
-from headcap.neck.study_training import NeckTrainingSettings, train_neck
 from headcap.neck.subjects import SubjectFiles
+from headcap.neck.training.study import NeckTrainingSettings, train_neck
 
 PROGRESS = logging.getLogger("headcap.progress")
 

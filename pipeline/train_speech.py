@@ -6,8 +6,8 @@ from pathlib import Path
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.neck.fits import NeckFits
 from headcap.neck.model import NeckModel
-from headcap.neck.voice_figure import save_voice_figure
-from headcap.neck.voice_training import Voice, VoiceTrainingSettings, train_voice_of
+from headcap.neck.voice.figure import save_voice_figure
+from headcap.neck.voice.training import Voice, VoiceTrainingSettings, train_voice_of
 from headcap.speech.take_sound import TakeSound
 
 PROGRESS = logging.getLogger("headcap.progress")

@@ -19,9 +19,9 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
-from headcap.neck.pose_expression_training import PoseExpressionSettings
-from headcap.neck.study_training import NeckTrainingSettings
-from headcap.neck.voice_training import VoiceCoefficients, VoiceTrainingSettings
+from headcap.neck.training.pose_expression import PoseExpressionSettings
+from headcap.neck.training.study import NeckTrainingSettings
+from headcap.neck.voice.training import VoiceCoefficients, VoiceTrainingSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.place import PlaceSettings

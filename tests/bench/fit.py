@@ -19,11 +19,11 @@ from run import measure, write
 from headcap.geometry.rotations import rotation_matrices
 from headcap.heads import HeadCoefficients, HeadModel, procedural_model
 from headcap.neck import NeckModel, NeckPerson, build_chart, larynx_map
-from headcap.neck.compensation import FitSettings, SequenceFitter, compensate
-from headcap.neck.fitting import SequenceFitSettings, fit_sequence
-from headcap.neck.landmark_fitting import fit_landmarks
-from headcap.neck.landmarks import LandmarkPoints, Landmarks
-from headcap.neck.temporal import TemporalPrior
+from headcap.neck.fitting.compensation import FitSettings, SequenceFitter, compensate
+from headcap.neck.fitting.sequence import SequenceFitSettings, fit_sequence
+from headcap.neck.fitting.temporal import TemporalPrior
+from headcap.neck.landmarks.fitting import fit_landmarks
+from headcap.neck.landmarks.landmarks import LandmarkPoints, Landmarks
 
 FRAMES, PEER_FRAMES, PEER_STEPS = 400, 2, 12
 RATE_HZ = 60.0

@@ -17,7 +17,7 @@ from run import measure, peak_memory_gib, write
 
 from headcap.heads import procedural_model
 from headcap.neck import LarynxMap, SpeechSubject, SpeechTrainingSettings, build_chart, larynx_map, train_speech
-from headcap.neck.base_shape import Throat, bare_base
+from headcap.neck.larynx.base_shape import Throat, bare_base
 
 PEOPLE, FRAMES, MODES, THINNED = 5, 12_000, 24, 1_200
 

@@ -19,7 +19,7 @@ from headcap.evaluation.metrics import Figure, make_figure
 from headcap.evaluation.neck import LarynxCurve, LarynxFile, larynx_correlation
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.fits import NeckFits
-from headcap.neck.voice_errors import VoiceErrorRow, VoiceErrors, in_millimetres
+from headcap.neck.voice.errors import VoiceErrorRow, VoiceErrors, in_millimetres
 from headcap.speech import FeatureSet
 
 KIND, SCHEMA = "neck_study", 1

@@ -1,16 +1,16 @@
 """The neck: the larynx that slides under the skin, speech blendshapes, their training and fitting (paper, sections 3 and 5)."""
 
-from headcap.neck.chart import Distortion, NeckChart, build_chart
-from headcap.neck.compensation import Compensation, FitSettings, SequenceFitter, compensate, fitting_error_mm
-from headcap.neck.expression_training import ExpressionTraining, ExpressionTrainingSettings, train_expressions
-from headcap.neck.larynx import LarynxMap, LarynxSettings, larynx_map
-from headcap.neck.larynx_coefficients import SlideSettings
+from headcap.neck.fitting.compensation import Compensation, FitSettings, SequenceFitter, compensate, fitting_error_mm
+from headcap.neck.fitting.pose import PoseEstimator, Poses, PoseSettings
+from headcap.neck.fitting.speech import SpeechFit, SpeechFitter
+from headcap.neck.larynx.chart import Distortion, NeckChart, build_chart
+from headcap.neck.larynx.coefficients import SlideSettings
+from headcap.neck.larynx.larynx_map import LarynxMap, LarynxSettings, larynx_map
 from headcap.neck.model import NeckModel, NeckPerson
-from headcap.neck.pose_expression_training import ErrorDrops, PoseExpressionSettings, error_drops, train_pose_expression
-from headcap.neck.pose_fitting import PoseEstimator, Poses, PoseSettings
-from headcap.neck.pose_training import PoseTraining, PoseTrainingSettings, train_pose
-from headcap.neck.speech_fitting import SpeechFit, SpeechFitter
-from headcap.neck.speech_training import SpeechSubject, SpeechTraining, SpeechTrainingSettings, train_speech
+from headcap.neck.training.expression import ExpressionTraining, ExpressionTrainingSettings, train_expressions
+from headcap.neck.training.pose import PoseTraining, PoseTrainingSettings, train_pose
+from headcap.neck.training.pose_expression import ErrorDrops, PoseExpressionSettings, error_drops, train_pose_expression
+from headcap.neck.training.speech import SpeechSubject, SpeechTraining, SpeechTrainingSettings, train_speech
 from headcap.neck.training_subject import TrainingSubject
 
 __all__ = [

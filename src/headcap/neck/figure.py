@@ -8,7 +8,7 @@ import numpy as np
 
 from headcap.artifacts import atomic_path
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.speech_training import SpeechTraining
+from headcap.neck.training.speech import SpeechTraining
 
 SHOWN_WEIGHTS = 3
 """Blendshape weights drawn, as in the paper's figure 8."""

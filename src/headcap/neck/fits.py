@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from headcap.artifacts import load_arrays, save_arrays
 from headcap.errors import InputError
-from headcap.neck.speech_fitting import SpeechFit
+from headcap.neck.fitting.speech import SpeechFit
 
 KIND, SCHEMA = "neck_fits", 2
 

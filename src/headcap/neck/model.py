@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from headcap.artifacts import load_arrays, save_arrays
 from headcap.errors import InputError
 from headcap.heads import HeadCoefficients, HeadModel
-from headcap.neck.base_shape import Throat, initial_larynx
-from headcap.neck.larynx import LarynxMap
+from headcap.neck.larynx.base_shape import Throat, initial_larynx
+from headcap.neck.larynx.larynx_map import LarynxMap
 
 KIND, SCHEMA = "neck_model", 1
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from headcap.errors import InputError
 from headcap.heads import HeadModel
-from headcap.neck.compensation import check_topology
+from headcap.neck.fitting.compensation import check_topology
 
 LEAST_FRAMES = 10
 _MOST_TILT_DEG = 20.0

@@ -12,9 +12,9 @@ import jinja2
 from headcap.artifacts import atomic_path
 from headcap.errors import InputError
 from headcap.evaluation.neck_study import PAPER_ERROR_DROPS, PAPER_REGRESSORS, RegressorRow
-from headcap.neck.curves import CoefficientCurves
+from headcap.neck.animation.curves import CoefficientCurves
+from headcap.neck.animation.swallowing import swallow
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.swallowing import swallow
 from headcap.report import study_figures as diagrams
 from headcap.report.overlays import jpeg_uri, png_uri
 from headcap.report.pictures import error_legend_colours

@@ -11,10 +11,10 @@ from headcap.artifacts.manifest import manifest_path
 from headcap.evaluation.metrics import load_metrics
 from headcap.evaluation.neck_study import NeckStudy
 from headcap.heads import HeadModel
-from headcap.neck.curves import CoefficientCurves
+from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.landmark_fitting import fit_landmarks
-from headcap.neck.landmarks import LandmarkPoints, Landmarks
+from headcap.neck.landmarks.fitting import fit_landmarks
+from headcap.neck.landmarks.landmarks import LandmarkPoints, Landmarks
 from headcap.neck.model import NeckModel
 from headcap.neck.subjects import JoinedMeshes, NeckSubject, SubjectFiles
 from headcap.report.provenance import versions

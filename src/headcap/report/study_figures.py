@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.evaluation.neck_study import PAPER_ERROR_DROPS, NeckStudy
-from headcap.neck.curves import CoefficientCurves
+from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.fits import TakeFit
 from headcap.report.figures import ACCENT, FAINT, INK, SECOND, WARNING, Image, sheet
 

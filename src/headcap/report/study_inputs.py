@@ -13,8 +13,8 @@ from headcap.artifacts import Manifest
 from headcap.errors import InputError
 from headcap.evaluation.metrics import Figure
 from headcap.evaluation.neck_study import NeckStudy
-from headcap.neck.animation import meshes_of_curves
-from headcap.neck.curves import CoefficientCurves
+from headcap.neck.animation.animation import meshes_of_curves
+from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.subjects import JoinedMeshes

@@ -11,9 +11,9 @@ from headcap.cameras import Camera
 from headcap.geometry.transforms import invert, transform
 from headcap.heads import HeadModel
 from headcap.meshes.rasteriser import rasterise
-from headcap.neck.animation import meshes_of_curves
-from headcap.neck.curves import CoefficientCurves
-from headcap.neck.editing import scaled
+from headcap.neck.animation.animation import meshes_of_curves
+from headcap.neck.animation.curves import CoefficientCurves
+from headcap.neck.animation.editing import scaled
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.report.overlays import draw_values, shade, virtual_camera
 from headcap.report.study_inputs import Animation, frames_of

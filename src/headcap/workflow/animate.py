@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from headcap.artifacts import atomic_path, digest_settings, write_manifest
 from headcap.errors import InputError
-from headcap.neck.animation import curves_of_sound, meshes_of_curves, template_of
-from headcap.neck.curves import CoefficientCurves
+from headcap.neck.animation.animation import curves_of_sound, meshes_of_curves, template_of
+from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.model import NeckModel
 from headcap.registration.sequence import MeshSequence
 from headcap.speech import SpeechRegressor, read_speech

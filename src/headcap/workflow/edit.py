@@ -13,11 +13,11 @@ import numpy as np
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.errors import InputError
-from headcap.neck.curves import CoefficientCurves
-from headcap.neck.editing import added, exaggerated, keyed, scaled, shifted
+from headcap.neck.animation.curves import CoefficientCurves
+from headcap.neck.animation.editing import added, exaggerated, keyed, scaled, shifted
+from headcap.neck.animation.swallowing import find_swallow, swallow
 from headcap.neck.fits import NeckFits
 from headcap.neck.model import NeckModel
-from headcap.neck.swallowing import find_swallow, swallow
 
 SWALLOW = "swallow"
 UNITS = {"tau": 1e-3, "neck": math.pi / 180, "jaw": math.pi / 180}

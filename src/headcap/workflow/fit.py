@@ -14,14 +14,14 @@ from headcap.calibration.result import KIND, SCHEMA
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
 from headcap.heads import HeadModel
-from headcap.neck.compensation import check_topology
-from headcap.neck.curves import CoefficientCurves
-from headcap.neck.fitting import COEFFICIENTS, ORDER, SequenceFitSettings, fit_sequence
-from headcap.neck.landmark_files import load_landmarks
-from headcap.neck.landmark_fitting import LandmarkSettings, fit_landmarks
+from headcap.neck.animation.curves import CoefficientCurves
+from headcap.neck.fitting.compensation import check_topology
+from headcap.neck.fitting.sequence import COEFFICIENTS, ORDER, SequenceFitSettings, fit_sequence
+from headcap.neck.fitting.temporal import TemporalPrior
+from headcap.neck.landmarks.files import load_landmarks
+from headcap.neck.landmarks.fitting import LandmarkSettings, fit_landmarks
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.subjects import joined
-from headcap.neck.temporal import TemporalPrior
 from headcap.registration.sequence import MeshSequence
 
 _CHANNELS = {"expression": ("psi",), "larynx": ("tau", "alpha"), "speech": ("phi",)}

@@ -12,8 +12,8 @@ from headcap.evaluation.neck import LarynxCurve, LarynxFile
 from headcap.evaluation.neck_study import PAPER_REGRESSORS, NeckStudy, RegressorRow, StudySubject, collect_study
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.speech_fitting import SpeechFit
-from headcap.neck.voice_errors import VoiceErrorRow, VoiceErrors
+from headcap.neck.fitting.speech import SpeechFit
+from headcap.neck.voice.errors import VoiceErrorRow, VoiceErrors
 from headcap.speech import FeatureSet, SpeechErrors
 
 CLOCK = np.arange(90) / 30

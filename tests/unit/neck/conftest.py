@@ -19,9 +19,9 @@ from headcap.neck import (
     larynx_map,
     train_speech,
 )
-from headcap.neck.base_shape import Throat, bare_base
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.voice_training import VoiceTraining, train_voice
+from headcap.neck.larynx.base_shape import Throat, bare_base
+from headcap.neck.voice.training import VoiceTraining, train_voice
 from headcap.speech import RATE_HZ
 from headcap.speech.take_sound import TakeSound
 from headcap.synthetic.articulation import speak as speak_tracks

@@ -13,9 +13,9 @@ from headcap.evaluation.settings import EvaluateSettings
 from headcap.geometry.transforms import from_vector
 from headcap.heads import procedural_model
 from headcap.neck import NeckModel, NeckPerson, SpeechFit, build_chart, larynx_map
-from headcap.neck.curves import CoefficientCurves
+from headcap.neck.animation.curves import CoefficientCurves
+from headcap.neck.animation.swallowing import swallow
 from headcap.neck.fits import NeckFits, TakeFit
-from headcap.neck.swallowing import swallow
 from headcap.report.study import write_study_report
 from headcap.report.study_figures import near_neutral, weights_when_neutral
 from headcap.report.study_inputs import Animation, StudyInputs

@@ -1,0 +1,1 @@
+"""Coefficients over time: curves, their editing, swallowing, and the meshes they make."""

@@ -1,0 +1,1 @@
+"""From sparse landmarks to coefficients: a tracked face drives the neck."""
