@@ -10,24 +10,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import resample_poly
 
-from headcap.errors import InputError
 from headcap.heads.procedural import base_head
 from headcap.meshes.normals import vertex_normals
 from headcap.registration.register import lip_pairs
 from headcap.registration.template import Template
-from headcap.speech.framing import RATE_HZ
-from headcap.speech.take_sound import TakeSound, clarity_db
 from headcap.synthetic import identity, lips, motion
 from headcap.synthetic.anatomy import Places, find_places, solve_fields
 from headcap.synthetic.growth import place_larynx
 from headcap.synthetic.larynx import build_larynx
 from headcap.synthetic.performance import Performance, perform
-from headcap.synthetic.rig import MOTION_STREAM, SOUND_STREAM, SUBJECT_STREAM, random_stream
-from headcap.synthetic.settings import SoundSettings, SubjectSettings, TakeKind
+from headcap.synthetic.rig import MOTION_STREAM, SUBJECT_STREAM, random_stream
+from headcap.synthetic.settings import SubjectSettings, TakeKind
 from headcap.synthetic.subject import AT_REST, Subject
-from headcap.synthetic.voice import synthesise
 
 _FULL_TURN_RAD = 0.5
 """The turn of the head at which a sternomastoid is as thick as it gets."""
@@ -112,26 +107,6 @@ def mesh_subject(seed: int, settings: SubjectSettings | None = None) -> MeshSubj
     head = head.with_vertices(lips.close_lips(head.vertices, pairs, above, below))
     subject = _subject(head, places, fields, pairs, 1e-3 * settings.larynx_prominence_mm)
     return MeshSubject(seed, subject, neck_muscles(head, places))
-
-
-def take_sound(
-    take: MeshTake, *, person: str, name: str, seed: int, number: int = 0, settings: SoundSettings | None = None
-) -> TakeSound:
-    """What a microphone beside the mouth hears of a mesh take: the voice of its tracks and the room's noise, 16 kHz, clock 0.
-
-    The voice is the one that cameras of rendered sessions record (`synthesise`, at the sound tracks' rate), without walls and
-    time of flight; its first sample is the first frame's moment. Equal seeds and numbers give equal sounds. Raises `InputError`
-    for a take in which nothing is said.
-    """
-    settings, speech = settings or SoundSettings(), take.performance.speech
-    if speech is None:
-        raise InputError(f"{person} {name}: nothing is said", expected="a take of kind speech or free", remedy="Leave it silent")
-    random = random_stream(seed, SOUND_STREAM, number)
-    rate_hz = settings.rate_hz
-    time_s = np.arange(round(take.performance.tracks.time_s[-1] * rate_hz)) / rate_hz
-    voice = resample_poly(synthesise(speech, random, time_s, rate_hz), RATE_HZ, rate_hz)
-    samples = (voice + random.normal(0, settings.noise, len(voice))).astype(np.float32)
-    return TakeSound(person, name, "rehearsed", samples, clarity_db=clarity_db(samples))
 
 
 def neck_muscles(head: Template, places: Places) -> NeckMuscles:

@@ -7,6 +7,8 @@ from headcap.heads.procedural import base_head
 from headcap.recordings.audio import read_audio
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
+from headcap.speech.pitch import track_pitch
+from headcap.speech.take_sound import recorded_sound
 from headcap.synthetic.mesh_files import ROOM_NOISE, rehearse_meshes
 from headcap.synthetic.mesh_takes import mesh_subject
 from headcap.synthetic.settings import MeshRehearsalSettings, TakeSettings
@@ -55,3 +57,18 @@ def test_equal_seeds_give_equal_files(folder, tmp_path):
     rehearse_meshes(SETTINGS, tmp_path)
     for name in ("talk.npy", "talk.wav", "template.npz"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_a_take_is_heard_as_it_is_spoken(folder):
+    """Pitch of the sound is that of the tracks, moment by moment; what moves the larynx is heard."""
+    take = mesh_subject(5).take("speech", 45, 30.0, number=1)
+    sound = recorded_sound("mary", "talk", folder / "talk.wav")
+    time_s = np.arange(45) / 30.0
+    heard = track_pitch(sound.samples).at(np.rint(16000 * sound.sound_time_s(time_s)).astype(int))
+    spoken, voicing = take.performance.speech.at(time_s, "pitch_hz", "voicing").T
+    both = (heard > 0) & (voicing > 0.5)
+    assert both.sum() > 10
+    assert np.median(np.abs(heard[both] / spoken[both] - 1)) < 0.02
+    # noise of 0.002 under a voice of about 0.1
+    assert 20 < sound.clarity_db < 50
+    assert sound.covers(time_s).all()

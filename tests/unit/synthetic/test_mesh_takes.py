@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from headcap.errors import InputError
 from headcap.heads import base_head
-from headcap.speech import track_pitch
-from headcap.synthetic.mesh_takes import MeshSubject, mesh_subject, take_sound
+from headcap.synthetic.mesh_takes import MeshSubject, mesh_subject
 from headcap.synthetic.subject import AT_REST
 
 
@@ -50,24 +48,3 @@ def test_grimaces_move_the_neck_alone_of_the_muscles_here(person):
     assert base_head().regions["neck"][moved].all()
     assert np.linalg.norm(drawn, axis=1).max() > 0.002
     assert not person.muscles.displacement(AT_REST).any()
-
-
-def test_a_take_is_heard_as_it_is_spoken(person):
-    """Pitch of the sound is that of the tracks, moment by moment, over the room's noise; what moves the larynx is heard."""
-    take = person.take("speech", 90, 30.0)
-    sound = take_sound(take, person="mary", name="talk", seed=person.seed)
-    time_s = np.arange(90) / 30.0
-    heard = track_pitch(sound.samples).at(np.rint(16000 * sound.sound_time_s(time_s)).astype(int))
-    spoken, voicing = take.performance.speech.at(time_s, "pitch_hz", "voicing").T
-    both = (heard > 0) & (voicing > 0.5)
-    assert both.sum() > 20
-    assert np.median(np.abs(heard[both] / spoken[both] - 1)) < 0.02
-    # noise of 0.002 under a voice of about 0.1
-    assert 20 < sound.clarity_db < 50
-    assert sound.covers(time_s).all()
-    assert (take_sound(take, person="mary", name="talk", seed=person.seed).samples == sound.samples).all()
-
-
-def test_a_silent_take_has_no_voice(person):
-    with pytest.raises(InputError, match="mary faces: nothing is said"):
-        take_sound(person.take("expression", 3, 30.0), person="mary", name="faces", seed=1)

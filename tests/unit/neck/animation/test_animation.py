@@ -142,7 +142,7 @@ def _edited(files, folder, *options: str):
         (["swallow", "--key", "tau=3"], "such as tau@1.2=20"),
         (["swallow", "--cut", "1"], "such as 1.0:2.5"),
         (["swallow", "--add", "swallow"], "such as swallow@1.2"),
-        (["{d}/model.npz"], "expected headcap.neck_fits/1"),
+        (["{d}/model.npz"], "expected headcap.neck_fits/2"),
     ],
 )
 def test_edits_that_are_not_understood_are_refused_in_one_line(files, tmp_path, capsys, arguments, told):

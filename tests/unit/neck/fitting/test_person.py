@@ -11,7 +11,7 @@ from headcap.neck import SpeechFitter
 from headcap.neck.fitting.person import PersonFittingSettings, empty_larynx, fit_person
 from headcap.neck.subjects import JoinedMeshes, NeckSubject
 
-from .conftest import speak
+from ..conftest import speak
 
 TOLD = 160
 """Frames that the person is fitted on; the rest are judged."""

@@ -12,7 +12,7 @@ from headcap.heads import HeadCoefficients
 from headcap.meshes.subdivision import subdivide_butterfly
 from headcap.neck import LarynxMap, LarynxSettings, larynx_map
 
-from .conftest import bump_m
+from ..conftest import bump_m
 
 SLIDES_M = (-0.02, -0.00731, -0.0005, 0.0, 0.0005, 0.004, 0.0123, 0.02)
 

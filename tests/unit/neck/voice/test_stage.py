@@ -22,7 +22,7 @@ from headcap.sync.timeline import TakeTimeline
 
 
 def _stage(name: str):
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).parents[3] / "pipeline" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parents[4] / "pipeline" / f"{name}.py")
     stage = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(stage)
     return stage
