@@ -23,7 +23,7 @@ from headcap.neck.frame_blocks import in_blocks
 from headcap.neck.larynx.base_shape import Throat
 from headcap.neck.larynx.chart import build_chart
 from headcap.neck.larynx.coefficients import Nuisance, SlideSettings, slide_and_scale
-from headcap.neck.larynx.larynx_map import LarynxMap, larynx_map
+from headcap.neck.larynx.larynx_map import FORWARD, LarynxMap, larynx_map
 from headcap.neck.larynx.update import LarynxUpdateSettings, SlideSums, update_larynx
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.subjects import NeckSubject
@@ -32,8 +32,6 @@ BLOCK = 128
 """Frames read at once: 20 MB at 13 thousand vertices."""
 LEAST_FRAMES = 20
 """Fewer frames of speech than this say less of the larynx than the neutral head does."""
-_FORWARD = np.array([0.0, 0.0, 1.0])
-"""Direction of an empty larynx map: eq. 9 replaces it."""
 
 
 class PersonFittingSettings(BaseModel):
@@ -81,8 +79,8 @@ def empty_larynx(model: NeckModel) -> LarynxMap:
     """The larynx map of a neck model's topology without weights: the layout that its people have, a new one where it has none."""
     if model.people:
         layout = model.people[0].larynx
-        return layout.with_weights(np.zeros_like(layout.weights_m), _FORWARD)
-    return larynx_map(model.head, build_chart(model.head), _FORWARD)
+        return layout.with_weights(np.zeros_like(layout.weights_m), FORWARD)
+    return larynx_map(model.head, build_chart(model.head))
 
 
 @dataclass(eq=False)

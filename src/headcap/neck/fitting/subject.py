@@ -18,15 +18,11 @@ from headcap.heads.skinning import bone_transforms, vertex_transforms
 from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.fitting.compensation import FitSettings, FittedBlock, SequenceFitter, without_expressions
 from headcap.neck.fitting.speech import SpeechFit, SpeechFitter
-from headcap.neck.larynx.chart import build_chart
-from headcap.neck.larynx.larynx_map import larynx_map
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.subjects import NeckSubject, NeckTake
 
 SPOKEN = ("speech", "lips", "free")
 """Kinds of takes in which a person may speak."""
-_FORWARD = np.array([0.0, 0.0, 1.0])
-"""Direction of an empty larynx map: eq. 9 replaces it."""
 
 
 def fit_subject(
@@ -44,21 +40,12 @@ def fit_subject(
     expression takes by pose and expression on the whole head (they are silent), all others by pose and expression on the
     settings' region, then by larynx and speech blendshapes; both models alike. Slide, scale and phi are fitted in every take
     (figure 9 shows them in a pose take), their errors stated of spoken ones. Errors are mean 3D distances over what was seen of
-    `region`, millimetres. A person the model does not hold gets base shape and larynx from the neutral head. Raises `InputError`
-    for another topology, a region that was not seen, or a take without a finite frame.
+    `region`, millimetres. Raises `InputError` for a person that the model does not hold (`fit_person` finds them), another
+    topology, a region that was not seen, or a take without a finite frame.
     """
     fitting = _Fitting(model, base, subject, settings or FitSettings(), _judged(model.head, subject, region))
     takes = tuple(_named(fitting, take) for take in subject.takes)
     return NeckFits(subject.name, takes, held_out)
-
-
-def person_of(model: NeckModel, subject: NeckSubject) -> NeckPerson:
-    """The model's own person of the subject's name; base shape and larynx of the neutral head (eq. 8 to 10) for anybody else."""
-    known = next((person for person in model.people if person.name == subject.name), None)
-    if known is not None:
-        return known
-    empty = model.people[0].larynx if model.people else larynx_map(model.head, build_chart(model.head), _FORWARD)
-    return NeckPerson.of(subject.name, subject.neutral, model.head.triangles, empty)
 
 
 def _judged(head: HeadModel, subject: NeckSubject, region: str) -> NDArray[np.int64]:
@@ -98,7 +85,7 @@ class _Fitting:
 
     @cached_property
     def speech(self) -> SpokenErrors:
-        return SpokenErrors(self.model, person_of(self.model, self.subject), self.judged)
+        return SpokenErrors(self.model, self.model.person(self.subject.name), self.judged, self.subject.seen)
 
     def fitter(self, head: HeadModel, kind: str) -> SequenceFitter:
         """Pose alone, or pose and expression on the whole head or the settings' region."""
@@ -129,11 +116,16 @@ class _Fitting:
 class SpokenErrors:
     """Larynx and speech blendshapes of one person, and what meshes free of pose and expression keep beyond them."""
 
-    def __init__(self, model: NeckModel, person: NeckPerson, judged: NDArray[np.int64]) -> None:
-        """Of a person of a model; residuals are told of vertices `judged` (k,). Raises `InputError` for another map."""
+    def __init__(
+        self, model: NeckModel, person: NeckPerson, judged: NDArray[np.int64], seen: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Of a person of a model; residuals are told of vertices `judged` (k,), and what was not `seen` (n,) tells nothing.
+
+        Raises `InputError` for another map.
+        """
         self.person, self.judged = person, judged
-        self._whole = SpeechFitter(model.head, person)
-        self._larynx_alone = SpeechFitter(replace(model.head, speech_basis=model.head.speech_basis[:0]), person)
+        self._whole = SpeechFitter(model.head, person, seen=seen)
+        self._larynx_alone = SpeechFitter(replace(model.head, speech_basis=model.head.speech_basis[:0]), person, seen=seen)
         self._basis = np.asarray(model.head.speech_basis, float)
         resting = np.zeros_like(person.base)
         resting[person.larynx.vertices] = person.larynx.offset(0.0).values
@@ -149,18 +141,14 @@ class SpokenErrors:
         speech = self._whole.fit(meshes)
         if not judge:
             return speech, {}
-        still, alone = self._weights(meshes), self._larynx_alone.fit(meshes)
+        at_rest = np.zeros(len(meshes)), np.ones(len(meshes))
+        still, alone = self._whole.fit_weights(meshes, *at_rest), self._larynx_alone.fit(meshes)
         offsets = np.asarray(meshes[:, self.judged], float) - self.person.base[self.judged]
         return speech, {
             "full": offsets - self._larynx(speech) - self._spoken(speech.phi),
             "without_larynx": offsets - self._resting[self.judged] - self._spoken(still),
             "without_speech": offsets - self._larynx(alone),
         }
-
-    def _weights(self, meshes: NDArray) -> NDArray[np.float64]:
-        """phi (f, p) with the larynx at rest."""
-        offsets = np.asarray(meshes, float) - (self.person.base + self._resting)
-        return (offsets.reshape(len(offsets), -1) @ self._whole.rows.T) @ self._whole.turn
 
     def _spoken(self, phi: NDArray) -> NDArray[np.float64]:
         """B_N (f, k, 3)."""

@@ -201,7 +201,13 @@ def _flat(values: NDArray | float, name: str) -> tuple[NDArray, tuple[int, ...]]
     return values.ravel(), values.shape
 
 
-def larynx_map(model: HeadModel, chart: NeckChart, direction: NDArray, settings: LarynxSettings | None = None) -> LarynxMap:
+FORWARD = np.array([0.0, 0.0, 1.0])
+"""Direction of an empty larynx map, until eq. 9 gives it another."""
+
+
+def larynx_map(
+    model: HeadModel, chart: NeckChart, direction: NDArray = FORWARD, settings: LarynxSettings | None = None
+) -> LarynxMap:
     """An empty map (W = 0) over a head model's larynx region, with direction t_s (3,), normalised.
 
     Fill it with `fitted` (values at vertices, eq. 10) or `with_weights`. Raises `InputError` where the chart is of another model

@@ -20,9 +20,6 @@ from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.subjects import NeckSubject
 from headcap.neck.training.speech import LEAST_FRAMES, SpeechSubject, SpeechTraining, SpeechTrainingSettings, train_speech
 
-FORWARD = np.array([0.0, 0.0, 1.0])
-"""Direction of an empty larynx map: eq. 9 replaces it."""
-
 
 class NeckTrainingSettings(BaseModel):
     """A neck model from speech takes."""
@@ -81,7 +78,7 @@ def common_larynx_map(head: HeadModel, subjects: Sequence[NeckSubject], settings
     """An empty larynx map whose chart is isometric on the mean of the subjects' throats, for they share one chart."""
     mean = np.mean([subject.neutral for subject in subjects], axis=0)
     model = head.personal(mean.astype(head.vertices.dtype))
-    return larynx_map(model, build_chart(model), FORWARD, settings)
+    return larynx_map(model, build_chart(model), settings=settings)
 
 
 def speech_at_rest(head: HeadModel, subject: NeckSubject, settings: FitSettings, out: Path) -> NDArray:

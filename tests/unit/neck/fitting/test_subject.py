@@ -11,9 +11,8 @@ from headcap.geometry.transforms import from_vector
 from headcap.heads import HeadCoefficients
 from headcap.neck import FitSettings, NeckModel
 from headcap.neck.fits import NeckFits
-from headcap.neck.fitting.subject import fit_subject, person_of
+from headcap.neck.fitting.subject import fit_subject
 from headcap.neck.subjects import JoinedMeshes, NeckSubject, NeckTake
-from headcap.synthetic.mesh_takes import mesh_subject
 
 FRAMES = 24
 LOST = (3, 17)
@@ -139,9 +138,10 @@ def test_meshes_in_several_files_are_fitted_as_one(trained, base, subject, fits)
     assert np.array_equal(found.takes[0].error_mm, fits.takes[2].error_mm)
 
 
-def test_only_what_was_seen_is_judged(trained, base, subject):
+@pytest.mark.parametrize("number", [0, 2], ids=["pose", "speech"])
+def test_only_what_was_seen_is_judged(trained, base, subject, number):
     """Whatever a tracker makes up elsewhere, the errors stay the same."""
-    turn = subject.takes[0]
+    turn = subject.takes[number]
     nape = trained.head.regions["neck"] & (subject.neutral[:, 2] < np.median(subject.neutral[trained.head.regions["neck"], 2]))
     meshes = turn.meshes.copy()
     meshes[:, nape] += 0.004
@@ -149,16 +149,6 @@ def test_only_what_was_seen_is_judged(trained, base, subject):
     tracked = [replace(turn, meshes=found) for found in (turn.meshes, meshes)]
     told = [fit_subject(trained, base, replace(subject, takes=(take,), seen=~nape), settings, held_out=True) for take in tracked]
     assert np.array_equal(told[0].takes[0].error_mm, told[1].takes[0].error_mm)
-
-
-def test_a_person_whom_the_model_does_not_hold_gets_the_neutral_heads_larynx(trained, subject):
-    assert person_of(trained, subject) is trained.people[0]
-    stranger = mesh_subject(5)
-    found = person_of(trained, NeckSubject("stranger", stranger.neutral_m, ()))
-    rest = found.base.copy()
-    rest[found.larynx.vertices] += found.larynx.offset(0.0).values
-    # eq. 1: the base with its larynx at rest is the neutral head, up to what the map's pixels cannot hold
-    assert 1e3 * np.abs(rest - stranger.neutral_m).max() < 0.1
 
 
 def test_what_cannot_be_fitted_is_refused_by_name(trained, base, subject):
@@ -172,6 +162,8 @@ def test_what_cannot_be_fitted_is_refused_by_name(trained, base, subject):
         fit_subject(trained, base, replace(subject, seen=~trained.head.regions["neck"]), held_out=True)
     with pytest.raises(InputError, match="region knee"):
         fit_subject(trained, base, subject, held_out=True, region="knee")
+    with pytest.raises(InputError, match="person stranger"):
+        fit_subject(trained, base, replace(subject, name="stranger"), held_out=True)
 
 
 def test_fits_travel_in_a_file_with_kinds_and_errors(fits, tmp_path):

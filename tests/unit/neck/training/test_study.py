@@ -16,8 +16,9 @@ from headcap.neck.fitting.speech import SpeechFit
 from headcap.neck.fitting.subject import fit_subject
 from headcap.neck.subjects import NeckSubject
 from headcap.neck.training.speech import SpeechTrainingSettings
-from headcap.neck.training.study import NeckTrainingSettings, train_neck
+from headcap.neck.training.study import NeckTrainingSettings, person_of, train_neck
 from headcap.registration.sequence import MeshSequence
+from headcap.synthetic.mesh_takes import mesh_subject
 
 SETTINGS = NeckTrainingSettings(speech=SpeechTrainingSettings(iterations=3, reduced=12))
 FRAMES = 90
@@ -110,3 +111,11 @@ def test_a_still_larynx_has_no_correlation(fits):
     take = fits[0].takes[0]
     still = replace(take, speech=SpeechFit(np.zeros(FRAMES), take.speech.alpha, take.speech.phi))
     assert np.isnan(larynx_correlation(still, np.arange(FRAMES) / 60, np.arange(float(FRAMES)), clock_shift_s=0.0))
+
+
+def test_people_are_those_of_the_model_and_else_found_from_their_neutral_head(training, subjects):
+    assert person_of(training.model, subjects[0], SETTINGS) is training.model.people[0]
+    stranger = mesh_subject(5)
+    found = person_of(training.model, NeckSubject("stranger", stranger.neutral_m, ()), SETTINGS)
+    # eq. 1: the base with its larynx at rest is the neutral head, up to what the map's pixels cannot hold
+    assert 1e3 * np.abs(found.neutral - stranger.neutral_m).max() < 0.1
