@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,14 @@ from headcap.neck.fitting.compensation import check_topology
 
 LEAST_FRAMES = 10
 _MOST_TILT_DEG = 20.0
+
+
+class Watched(Protocol):
+    """Somebody of whom cameras saw a part."""
+
+    @property
+    def seen(self) -> NDArray[np.bool_] | None:
+        """(n,) vertices, None for all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +85,7 @@ class TrainingSubject:
             )
 
 
-def seen_by_all(model: HeadModel, subjects: Sequence[TrainingSubject]) -> NDArray[np.bool_]:
+def seen_by_all(model: HeadModel, subjects: Sequence[Watched]) -> NDArray[np.bool_]:
     """(n,) vertices that are seen of every subject; `InputError` where there are none."""
     seen = np.ones(len(model.vertices), bool)
     for subject in subjects:

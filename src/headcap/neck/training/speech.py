@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.errors import InputError
 from headcap.heads import HeadModel
+from headcap.meshes.extension import SmoothExtension
 from headcap.neck.fitting.speech import SpeechFit, anchored, spread
 from headcap.neck.frame_blocks import in_blocks
 from headcap.neck.larynx.base_shape import Throat, initial_larynx
@@ -23,6 +24,7 @@ from headcap.neck.larynx.larynx_map import LarynxMap
 from headcap.neck.larynx.update import LarynxUpdateSettings, SlideSums, update_larynx
 from headcap.neck.model import NeckModel, NeckPerson
 from headcap.neck.training.speech_basis import leading_directions, reduce_rows
+from headcap.neck.training_subject import seen_by_all
 
 LEAST_FRAMES = 8
 """Of each subject: two for each of the three numbers that place and shape a larynx, and two to spare."""
@@ -52,6 +54,8 @@ class SpeechSubject:
     """(n, 3) metres: neutral pose, neutral expression, silent."""
     meshes: NDArray
     """(f, n, 3) metres; may be memory-mapped."""
+    seen: NDArray[np.bool_] | None = None
+    """(n,) vertices that cameras saw, all by default: what a tracker makes up elsewhere is not learnt from."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,7 @@ class SpeechTraining:
     """Result of Algorithm 1."""
 
     model: NeckModel
-    """With N orthonormal, ordered by variance."""
+    """With N ordered by variance, and orthonormal over what was seen of all people."""
     fits: dict[str, SpeechFit]
     """Coefficients of each subject's frames; frames that were not finite are NaN."""
     energy: tuple[tuple[str, float], ...]
@@ -80,6 +84,7 @@ def train_speech(
     smears the weight map over a moving larynx; here eq. 12 and 13 are solved with the neutral head's weights first, and with
     second-order polynomials over the chart in place of the blendshapes that are not there yet. On rehearsed throats whose skin
     moves more than the larynx lifts it, slides correlate with the truth by 0.98; by 0.81 to 0.89 without the polynomials.
+    The larynx region is taken as seen; where some subject was not seen outside it, N is continued smoothly.
     Raises `InputError` for too few frames, another topology or meshes that are not finite.
     """
     settings = settings or SpeechTrainingSettings()
@@ -157,7 +162,9 @@ class _Run:
     def __init__(self, model, empty, subjects, settings: SpeechTrainingSettings, progress) -> None:
         self.model, self.settings, self.progress = model, settings, progress
         self.vertices = empty.vertices
-        self.rest = np.setdiff1d(np.arange(len(model.vertices)), self.vertices)
+        self.seen = seen_by_all(model, subjects)
+        self.seen[self.vertices] = True
+        self.rest = np.setdiff1d(np.flatnonzero(self.seen), self.vertices)
         self.people = [_person(subject, model, empty) for subject in subjects]
         self.energy: list[tuple[str, float]] = []
         self._reduce()
@@ -215,6 +222,7 @@ class _Run:
         whole = np.zeros((count, len(self.model.vertices), 3))
         whole[:, self.vertices] = self.basis[:, :width].reshape(count, -1, 3)
         whole[:, self.rest] = (self.basis[:, width:] @ self.directions).reshape(count, -1, 3)
+        whole = SmoothExtension(self.model.vertices, self.model.triangles, self.seen)(whole)
         head = replace(self.model, speech_basis=whole.astype(self.model.vertices.dtype))
         people, fits = zip(*(self._anchored(person) for person in self.people), strict=True)
         return SpeechTraining(

@@ -94,7 +94,8 @@ def speech_at_rest(head: HeadModel, subject: NeckSubject, settings: FitSettings,
 
 
 def _at_rest(head: HeadModel, subject: NeckSubject, settings: FitSettings, folder: Path) -> SpeechSubject:
-    return SpeechSubject(subject.name, subject.neutral, speech_at_rest(head, subject, settings, folder / f"{subject.name}.npy"))
+    meshes = speech_at_rest(head, subject, settings, folder / f"{subject.name}.npy")
+    return SpeechSubject(subject.name, subject.neutral, meshes, subject.seen)
 
 
 def _affordable(settings: SpeechTrainingSettings, people: Sequence[SpeechSubject]) -> SpeechTrainingSettings:

@@ -157,3 +157,20 @@ def test_too_few_frames_of_all_together_are_refused(model, chart, spoken):
     few = [replace(one.subject, meshes=one.subject.meshes[:15]) for one in spoken]
     with pytest.raises(InputError, match="30 frames of s1, s2; expected at least 40"):
         train_speech(model, empty, few)
+
+
+def test_what_was_not_seen_of_somebody_is_not_learnt_from(model, chart, spoken):
+    """Whatever a tracker makes up behind the ears, the blendshapes are the same, and are continued there without a jump."""
+    empty = larynx_map(model, chart)
+    hidden = (model.vertices[:, 2] < -0.06) & ~model.regions["larynx"]
+    settings = SpeechTrainingSettings(iterations=2, reduced=12)
+    made_up = spoken[0].subject.meshes[:60].copy()
+    made_up[:, hidden] += 0.01 * np.sin(np.arange(60))[:, None, None]
+    subjects = [replace(spoken[0].subject, meshes=meshes, seen=~hidden) for meshes in (spoken[0].subject.meshes[:60], made_up)]
+    true, other = (train_speech(model, empty, [subject], settings).model.head.speech_basis for subject in subjects)
+    assert np.array_equal(true, other)
+    assert not np.array_equal(true[:, hidden], np.zeros_like(true[:, hidden]))
+    edges = np.concatenate([model.triangles[:, [0, 1]], model.triangles[:, [1, 2]]])
+    steps = np.linalg.norm(true[:, edges[:, 0]] - true[:, edges[:, 1]], axis=2)
+    border = hidden[edges].any(axis=1) & ~hidden[edges].all(axis=1)
+    assert steps[:, border].max() <= steps[:, ~hidden[edges].any(axis=1)].max()
