@@ -130,6 +130,7 @@ CATALOGUE: dict[str, FigureKind] = {
     "speech.takes": _stated("", "takes with a voice; of a single one, stretches are left out instead", at_least=True),
     "speech.frames": _stated("", "fitted frames that the regressors were trained on", at_least=True),
     "speech.skipped_frames": _stated("", "frames without coefficients, left aside"),
+    "speech.clarity_db": _stated("dB", "loud over quiet moments of a speech take, clearest microphone", at_least=True),
     "speech.voiced_share": _stated("", "sound that has a pitch; without any, loudness alone drives the larynx", at_least=True),
     "track.flipped_triangles": _stated("", "triangles turned by more than 90 degrees against all around them, worst frame"),
 }
