@@ -119,14 +119,15 @@ class Scene:
         x, y = pixels[..., 0] - WIDTH / 2, pixels[..., 1] - HEIGHT / 2
         return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1) @ self.quadratic
 
-    def colours(self, estimate: Estimate) -> np.ndarray:
-        return self.albedo * harmonics.shading(self.surface.normals(self.surface.in_camera(estimate)), self.light)
+    def colours(self, estimate: Estimate, light: np.ndarray | None = None) -> np.ndarray:
+        light = self.light if light is None else light
+        return self.albedo * harmonics.shading(self.surface.normals(self.surface.in_camera(estimate)), light)
 
-    def residuals(self, estimate: Estimate) -> np.ndarray:
+    def residuals(self, estimate: Estimate, light: np.ndarray | None = None) -> np.ndarray:
         """Of the same pieces of skin, wherever they go."""
         pixels = estimate.camera(self.camera).project(self.surface.in_camera(estimate))[0]
         at = np.einsum("kj,kjd->kd", self.shares, pixels[self.corners])
-        return self.look_up(at) - np.einsum("kj,kjc->kc", self.shares, self.colours(estimate)[self.corners])
+        return self.look_up(at) - np.einsum("kj,kjc->kc", self.shares, self.colours(estimate, light)[self.corners])
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +144,8 @@ def terms(scene: Scene, surface: FaceSurface, camera: Camera, estimate: Estimate
     photo = photometric.gather(scene.level, scene.view, surface.triangles, scene.colours(estimate), scene.confidence, SCALE)
     jacobian = camera.project_with_jacobian(vertices)[1]
     h = scene.albedo[:, :, None] * harmonics.shading_slopes(surface.normals(vertices), scene.light)
-    return photo, jacobian, h, surface.slopes(estimate, shape=True, focal=True)
+    y = scene.albedo[:, :, None] * harmonics.harmonics(surface.normals(vertices))[:, None]
+    return photo, photometric.Chain(jacobian, h, y), surface.slopes(estimate, shape=True, focal=True)
 
 
 def test_robust_energy_is_the_sum_over_pixels(scene: Scene, estimate: Estimate, terms):
@@ -155,11 +157,11 @@ def test_robust_energy_is_the_sum_over_pixels(scene: Scene, estimate: Estimate, 
 
 
 def test_gradient_of_the_energy_is_its_finite_difference(scene: Scene, surface: FaceSurface, estimate: Estimate, terms):
-    photo, jacobian, h, slopes = terms
-    gradient = -2.0 / SCALE**2 * photometric.right_side(photo, jacobian, h, slopes)
+    photo, chain, slopes = terms
+    gradient, by_light = (-2.0 / SCALE**2 * right for right in photometric.right_side(photo, chain, slopes))
 
-    def energy(at: Estimate) -> float:
-        square = (scene.residuals(at) ** 2).sum(axis=1) / SCALE**2
+    def energy(at: Estimate, light: np.ndarray | None = None) -> float:
+        square = (scene.residuals(at, light) ** 2).sum(axis=1) / SCALE**2
         return float((scene.trust * square / (1 + square)).sum())
 
     numeric = np.empty(len(gradient))
@@ -170,19 +172,29 @@ def test_gradient_of_the_energy_is_its_finite_difference(scene: Scene, surface: 
     # float32 sums, bases and normals: three digits of the largest component of its kind
     for kind in (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, len(gradient))):
         assert np.abs(gradient[kind] - numeric[kind]).max() < 5e-3 * np.abs(numeric[kind]).max()
+    for k in range(27):
+        step = np.zeros((3, 9))
+        step.flat[k] = 1e-3
+        slope = (energy(estimate, scene.light + step) - energy(estimate, scene.light - step)) / 2e-3
+        assert by_light[k] == pytest.approx(slope, abs=5e-3 * np.abs(by_light).max())
 
 
 def test_lumped_matrix_bounds_the_gauss_newton_matrix(scene: Scene, surface: FaceSurface, estimate: Estimate, terms):
-    photo, jacobian, h, slopes = terms
-    lumped = photometric.normal_matrix(photo, jacobian, h, slopes)
+    photo, chain, slopes = terms
+    normal = photometric.normal_matrix(photo, chain, slopes)
+    lumped = np.block([[normal.geometry, normal.mixed], [normal.mixed.T, normal.light]])
     square = (scene.residuals(estimate) ** 2).sum(axis=1) / SCALE**2
     weight = scene.trust / (1 + square) ** 2
     y, x = np.nonzero(scene.view.usable)
     image = np.stack([scene.level.slope_x[y, x], scene.level.slope_y[y, x]], axis=-1)
-    moved = np.einsum("vdi,pvi->pvd", jacobian, slopes.vertices)
-    shaded = np.einsum("vci,pvi->pvc", h, slopes.normals)
+    moved = np.einsum("vdi,pvi->pvd", chain.pixels, slopes.vertices)
+    shaded = np.einsum("vci,pvi->pvc", chain.colours, slopes.normals)
     own = np.einsum("kj,pkjd->pkd", scene.shares, moved[:, scene.corners])
     rows = np.einsum("kcd,pkd->pkc", image, own) - np.einsum("kj,pkjc->pkc", scene.shares, shaded[:, scene.corners])
+    lit = np.zeros((3, 9, len(weight), 3))
+    for q in range(3):
+        lit[q, :, :, q] = -np.einsum("kj,kjl->lk", scene.shares, chain.light[scene.corners, q])
+    rows = np.concatenate([rows, lit.reshape(27, len(weight), 3)])
     exact = np.einsum("pkc,k,qkc->pq", rows, weight, rows, optimize=True)
     size = np.sqrt(np.diag(lumped))
     gap = np.linalg.eigvalsh((lumped - exact) / np.outer(size, size))

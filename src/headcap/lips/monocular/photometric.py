@@ -78,6 +78,8 @@ class PhotoSums:
     """Sum of the robust weights times confidence."""
     squares: float
     """Sum of confidence times robust weight times |r|^2."""
+    scale: float
+    """Of the robust function, linear intensity."""
 
 
 def see(level: Level, vertices: NDArray, triangles: NDArray) -> View:
@@ -110,7 +112,7 @@ def gather(level: Level, view: View, triangles: NDArray, colours: NDArray, confi
         sums,
         totals,
     )
-    return PhotoSums(sums, *totals.tolist())
+    return PhotoSums(sums, *totals.tolist(), scale)
 
 
 def residual_lengths(level: Level, view: View, triangles: NDArray, colours: NDArray, confidence: NDArray) -> NDArray[np.float32]:
@@ -128,34 +130,54 @@ def observed(photo: PhotoSums, colours: NDArray) -> tuple[NDArray, NDArray]:
     return colours + photo.sums[:, 12:15] / np.maximum(weight, 1e-12)[:, None], weight
 
 
-def right_side(photo: PhotoSums, jacobian: NDArray, colour_slopes: NDArray, slopes: Slopes) -> NDArray[np.float64]:
-    """Minus half the gradient (p,) of sum w |r|^2 by the unknowns of `slopes`.
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """What a vertex's place, normal and the light do to what is seen and shown of it."""
 
-    `jacobian` (n, 2, 3) is the derivative of the projected vertices, `colour_slopes` h (n, 3 channels, 3) that of the colours.
-    """
-    by_vertex = np.einsum("nd,ndi->ni", photo.sums[:, 10:12], jacobian)
-    by_normal = np.einsum("nc,nci->ni", photo.sums[:, 12:15], colour_slopes)
+    pixels: NDArray[np.float64]
+    """(n, 2, 3) derivative of projected vertices by their place."""
+    colours: NDArray[np.float64]
+    """(n, 3, 3) h, derivative of rendered colours (second axis) by the normal."""
+    light: NDArray[np.float64]
+    """(n, 3, 9) derivative of each channel's rendered colour by that channel's light: albedo times harmonics."""
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Lumped Gauss-Newton matrices of sum w |r|^2, together an upper bound of the full one."""
+
+    geometry: NDArray[np.float64]
+    """(p, p)."""
+    mixed: NDArray[np.float64]
+    """(p, 27) geometry by light."""
+    light: NDArray[np.float64]
+    """(27, 27)."""
+
+
+def right_side(photo: PhotoSums, chain: Chain, slopes: Slopes) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Minus half the gradient of sum w |r|^2 by the unknowns of `slopes` (p,) and by the light (27,)."""
+    by_vertex = np.einsum("nd,ndi->ni", photo.sums[:, 10:12], chain.pixels).astype(np.float32)
+    by_normal = np.einsum("nc,nci->ni", photo.sums[:, 12:15], chain.colours).astype(np.float32)
     p = len(slopes.columns)
-    return (
-        slopes.normals.reshape(p, -1) @ by_normal.astype(np.float32).ravel()
-        - slopes.vertices.reshape(p, -1) @ by_vertex.astype(np.float32).ravel()
-    )
+    geometry = slopes.normals.reshape(p, -1) @ by_normal.ravel() - slopes.vertices.reshape(p, -1) @ by_vertex.ravel()
+    return geometry.astype(np.float64), np.einsum("nc,nck->ck", photo.sums[:, 12:15], chain.light).ravel()
 
 
-def normal_matrix(photo: PhotoSums, jacobian: NDArray, colour_slopes: NDArray, slopes: Slopes) -> NDArray[np.float64]:
-    """The lumped Gauss-Newton matrix (p, p) of sum w |r|^2, an upper bound of the full one; arguments as `right_side`."""
+def normal_matrix(photo: PhotoSums, chain: Chain, slopes: Slopes) -> Normal:
+    """The lumped matrices at the unknowns of `slopes` (p,) and the light (3 x 9)."""
     seen = np.flatnonzero(photo.sums[:, 0] > 1e-9)
     rows = np.empty((len(slopes.columns), 5 * len(seen)), np.float32)
-    _rows(
-        photo.sums[seen].astype(np.float32),
-        seen,
-        jacobian[seen].astype(np.float32),
-        colour_slopes[seen].astype(np.float32),
-        slopes.vertices,
-        slopes.normals,
-        rows,
-    )
-    return (rows @ rows.T).astype(np.float64)
+    sums = photo.sums[seen].astype(np.float32)
+    colours = chain.colours[seen].astype(np.float32)
+    _rows(sums, seen, chain.pixels[seen].astype(np.float32), colours, slopes.vertices, slopes.normals, rows)
+    light = -np.sqrt(sums[:, 0])[:, None, None] * chain.light[seen].astype(np.float32)
+    k = light.shape[2]
+    mixed, own = np.empty((len(rows), 3 * k)), np.zeros((3 * k, 3 * k))
+    for q in range(3):
+        block = slice(k * q, k * (q + 1))
+        mixed[:, block] = rows[:, q::5] @ light[:, q]
+        own[block, block] = light[:, q].T @ light[:, q]
+    return Normal((rows @ rows.T).astype(np.float64), mixed, own)
 
 
 @njit(cache=True)

@@ -1,8 +1,8 @@
 """The part of a head model that a monocular tracker looks at, and its analytic derivatives by all unknowns of a frame.
 
-Unknowns in order: turn and shift of the head in the camera's frame (3 + 3, applied on the left about the face's middle), the jaw's
-rotation vector (3), expression psi (e), shape beta (s), and the logarithm of the focal length (1). Frames: vertices and normals
-are in the camera's axes, metres.
+Unknowns in order: turn and shift of the head in the camera's frame (3 + 3, applied on the left about the face's middle), the
+jaw's rotation vector (3), expression psi (e), shape beta (s), and the logarithm of the focal length (1). Frames: vertices and
+normals are in the camera's axes, metres.
 """
 
 from __future__ import annotations
@@ -42,6 +42,11 @@ class Estimate:
     """beta (s,)."""
     log_focal: float = 0.0
     """Logarithm of the focal length's ratio to the given camera's."""
+
+    @property
+    def coordinates(self) -> NDArray[np.float64]:
+        """All unknowns (unknowns,); the rigid motion counts from where it is, so its six are zero."""
+        return np.r_[np.zeros(6), self.jaw, self.expression, self.shape, self.log_focal]
 
     def camera(self, given: Camera) -> Camera:
         """The given camera with this focal length, in its own axes."""
@@ -207,7 +212,10 @@ def _carry(basis, blended, out):
 
 @njit(cache=True, fastmath=True)
 def _normal_slopes(vertices, triangles, slopes, out):
-    """Derivatives of unit vertex normals from those of vertices (p, n, 3): s = sum of cross products, dn = (1 - n n^T) ds / |s|."""
+    """Derivatives of unit vertex normals from those of vertices (p, n, 3).
+
+    With s the sum of the cross products about a vertex, dn = (1 - n n^T) ds / |s|.
+    """
     n = len(vertices)
     edges = np.empty((len(triangles), 6), np.float32)
     sums = np.zeros((n, 3), np.float32)

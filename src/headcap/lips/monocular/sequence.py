@@ -1,0 +1,160 @@
+"""A video through the monocular tracker: one row of coefficients per frame, in a file of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.artifacts import load_arrays, save_arrays
+from headcap.cameras import Camera
+from headcap.errors import InputError
+from headcap.geometry.transforms import invert
+from headcap.heads import HeadCoefficients, HeadModel
+from headcap.lips.monocular.detections import SCHEMES
+from headcap.lips.monocular.settings import MonocularSettings
+from headcap.lips.monocular.tracker import FrameResult, FrameState, MonocularTracker
+
+KIND, SCHEMA = "monocular_track", 1
+_BLOCK = 64
+_STATES = tuple(FrameState)
+
+
+@dataclass(frozen=True, eq=False)
+class MonocularTrack:
+    """f frames of one face; NaN in frames without an answer."""
+
+    model: str
+    """Digest of the head model."""
+    time_s: NDArray[np.float64]
+    """(f,) rising."""
+    states: tuple[FrameState, ...]
+    shape: NDArray[np.float64]
+    """beta (s,) of the person."""
+    expression: NDArray[np.float64]
+    """psi (f, e)."""
+    jaw: NDArray[np.float64]
+    """(f, 3) rotation vectors, radians."""
+    placement: NDArray[np.float64]
+    """world_from_head (f, 4, 4), metres; the world is the camera's."""
+    focal_ratio: float
+    """Focal length over the given camera's."""
+    light: NDArray[np.float64]
+    """(f, 3, 9) radiance in the camera's axes, see `harmonics`."""
+    residual: NDArray[np.float64]
+    """(f,) root mean square residual per channel of what agrees, linear intensity 0 to 1."""
+    inliers: NDArray[np.float64]
+    """(f,) share of the skin in view that looks as rendered."""
+    correlation: NDArray[np.float64]
+    """(f,) of rendering and picture."""
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def answered(self) -> NDArray[np.bool_]:
+        """(f,) frames in which the face was followed."""
+        return np.array([state is not FrameState.LOST for state in self.states], bool)
+
+    def coefficients(self, frames: slice | NDArray = slice(None)) -> HeadCoefficients:
+        """What poses and shapes the head in some frames; NaN where lost."""
+        pose = np.stack([np.zeros_like(self.jaw[frames]), self.jaw[frames]], axis=-2)
+        return HeadCoefficients(self.shape, self.expression[frames], pose, placement=self.placement[frames])
+
+    def meshes(self, model: HeadModel) -> Iterator[NDArray[np.float32]]:
+        """Vertices (n, 3) of each frame in the world, metres; NaN where lost. Raises `InputError` for another head model."""
+        self.check(model)
+        for start in range(0, len(self), _BLOCK):
+            yield from model.evaluate(self.coefficients(slice(start, start + _BLOCK)))
+
+    def check(self, model: HeadModel) -> None:
+        """Raise `InputError` where the track belongs to another head model."""
+        if model.digest != self.model:
+            raise InputError(
+                f"a track of head model {self.model}",
+                expected=f"one of {model.name}, {model.digest}",
+                remedy="Give the model that was tracked with, or track again.",
+            )
+
+    def save(self, path: Path | str) -> None:
+        """Write as npz artifact `headcap.monocular_track/1`."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays["states"] = np.array([_STATES.index(state) for state in self.states], np.uint8)
+        save_arrays(path, KIND, SCHEMA, arrays, {"model": self.model, "focal_ratio": self.focal_ratio, "states": list(_STATES)})
+
+    @classmethod
+    def load(cls, path: Path | str) -> MonocularTrack:
+        """Read what `save` wrote; raises `ArtifactError`."""
+        arrays, meta = load_arrays(path, KIND, SCHEMA)
+        states = tuple(FrameState(meta["states"][k]) for k in arrays.pop("states"))
+        return cls(model=meta["model"], focal_ratio=meta["focal_ratio"], states=states, **arrays)
+
+
+_ARRAYS = ("time_s", "shape", "expression", "jaw", "placement", "light", "residual", "inliers", "correlation")
+
+
+def track_video(
+    model: HeadModel,
+    camera: Camera,
+    pictures: Iterable[NDArray[np.uint8]],
+    time_s: NDArray,
+    detections: Mapping[int, NDArray],
+    settings: MonocularSettings | None = None,
+    *,
+    focal_known: bool = True,
+) -> MonocularTrack:
+    """Follow the face through pictures (height, width, 3) uint8, sRGB-encoded, BGR, taken at `time_s` (f,) by a camera.
+
+    `detections` are points (68, 468 or 478, 2) by frame number. The first frame that has any starts the tracker and should show
+    a neutral face; frames before it are without an answer. Later ones help where they are given. Raises `InputError` where no
+    frame has points, or those of the first are no face, or pictures and times differ in number.
+    """
+    time_s = np.asarray(time_s, float)
+    usable = sorted(k for k, points in detections.items() if 0 <= k < len(time_s) and len(points) in SCHEMES)
+    if not usable:
+        raise InputError(
+            f"{len(detections)} frames with detected points, none of them among the video's {len(time_s)}",
+            expected="one frame at least, of a neutral face seen from the front",
+            remedy="Give a detector's file for this video.",
+        )
+    tracker = MonocularTracker(model, camera, settings, focal_known=focal_known)
+    results: list[FrameResult | None] = []
+    for k, picture in enumerate(pictures):
+        if k < usable[0]:
+            results.append(None)
+        elif k == usable[0]:
+            results.append(tracker.start(picture, detections[k]))
+        else:
+            results.append(tracker.follow(picture, detections.get(k)))
+    if len(results) != len(time_s):
+        raise InputError(f"{len(results)} pictures", expected=f"{len(time_s)}, one per moment", remedy="Read the video whole.")
+    return _joined(model, camera, tracker, time_s, results)
+
+
+def _joined(
+    model: HeadModel, camera: Camera, tracker: MonocularTracker, time_s: NDArray, results: list[FrameResult | None]
+) -> MonocularTrack:
+    f, surface = len(results), tracker.surface
+    arrays = {
+        "expression": np.full((f, surface.expressions), np.nan),
+        "jaw": np.full((f, 3), np.nan),
+        "placement": np.full((f, 4, 4), np.nan),
+        "light": np.full((f, 3, 9), np.nan),
+    }
+    figures = {name: np.full(f, np.nan) for name in ("residual", "inliers", "correlation")}
+    world_from_camera = invert(camera.camera_from_world)
+    first = next(result.estimate for result in results if result and result.estimate)
+    for k, result in enumerate(results):
+        if result is None or result.estimate is None:
+            continue
+        arrays["expression"][k], arrays["jaw"][k] = result.estimate.expression, result.estimate.jaw
+        arrays["placement"][k] = world_from_camera @ result.estimate.camera_from_head
+        arrays["light"][k] = result.light
+        for name, values in figures.items():
+            values[k] = getattr(result, name)
+    states = tuple(FrameState.LOST if result is None else result.state for result in results)
+    ratio = float(np.exp(first.log_focal))
+    return MonocularTrack(model.digest, time_s, states, first.shape, focal_ratio=ratio, **arrays, **figures)

@@ -1,0 +1,46 @@
+"""Settings of the monocular base tracker."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class MonocularSettings(BaseModel):
+    """Where the paper refers to Garrido et al. 2016 without numbers, these are ours."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    expressions: int = Field(60, ge=0, description="Leading expression coefficients that are estimated")
+    shapes: int = Field(30, ge=0, description="Leading shape coefficients, estimated at the first frame and kept")
+    levels: int = Field(3, ge=1, description="Resolutions, each half the one before")
+    finest_edge_px: float = Field(
+        2.5, gt=0, description="Median edge of the mesh at the finest resolution: colours per vertex cannot show more"
+    )
+    iterations: int = Field(6, ge=1, description="Gauss-Newton steps per resolution at most")
+    step_px: float = Field(0.03, gt=0, description="A step that moves the skin by less, rms, is the last of its resolution")
+    least_noise: float = Field(0.004, gt=0, description="Standard deviation of linear intensity below which nothing is believed")
+    robust_sigmas: float = Field(4.0, gt=0, description="Residual, in standard deviations, at which a pixel loses half its say")
+    correlated_mm: float = Field(
+        1.5, gt=0, description="Reach on the skin within which errors of the rendering are alike: pixels there count as one"
+    )
+    correlated_start_mm: float = Field(
+        10.0, gt=0, description="The same at the first frame, where the skin's albedo is unknown and errs as its patches do"
+    )
+    jaw_deg: tuple[float, float, float] = Field((10.0, 2.0, 2.0), description="Standard deviations of the jaw's rotation vector")
+    focal_spread: float = Field(0.25, gt=0, description="Standard deviation of the logarithm of an unknown focal length")
+    expression_step: float = Field(0.35, gt=0, description="Standard deviation of an expression coefficient's change in a frame")
+    jaw_step_deg: float = Field(3.0, gt=0, description="Of the jaw's turn in a frame")
+    light_stiffness: float = Field(0.02, ge=0, description="Share of the data's weight with which light stays as it was")
+    albedo_stiffness: float = Field(
+        0.05, gt=0, description="Pixels' worth of weight with which unseen skin looks like its region"
+    )
+    landmark_noise_share: float = Field(
+        0.03, gt=0, description="Standard deviation of given landmarks over the distance of the outer eye corners"
+    )
+    flow_points: int = Field(300, ge=0, description="Pieces of skin followed from frame to frame to start from; 0 for none")
+    flow_noise_px: float = Field(0.7, gt=0, description="Standard deviation of where they are found")
+    most_noise_share: float = Field(
+        0.06, gt=0, description="Most of the residuals' spread, over the skin's brightness, that is noise"
+    )
+    noise_growth: float = Field(3.0, gt=1, description="The same over the usual spread of the frames before")
+    least_correlation: float = Field(0.6, ge=-1, le=1, description="Of rendering and picture, below which the face is lost")
+    least_inliers: float = Field(0.5, ge=0, le=1, description="Share of the skin that must look as expected, or the face is lost")
+    least_visible: float = Field(0.4, ge=0, le=1, description="Share of the skin known at the first frame that must be in view")

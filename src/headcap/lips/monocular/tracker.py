@@ -1,0 +1,357 @@
+"""From frame to frame: start, follow, notice a loss and begin again; a frame without an answer is marked and never made up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.cameras import Camera
+from headcap.errors import InputError
+from headcap.heads import HeadModel
+from headcap.lips.monocular import detections
+from headcap.lips.monocular.harmonics import COEFFICIENTS, harmonics
+from headcap.lips.monocular.photometric import Level, observed
+from headcap.lips.monocular.pictures import cameras_of_levels, finest_share, levels_of
+from headcap.lips.monocular.problem import Appearance, Features, FrameProblem, Look, Prior
+from headcap.lips.monocular.settings import MonocularSettings
+from headcap.lips.monocular.solver import descend, descend_sparse, paint, relight
+from headcap.lips.monocular.surface import JAW, Estimate, FaceSurface, Slopes
+
+_START_ROUNDS, _SPARSE_STEPS = 3, 8
+_NOISE_GAIN = 0.1
+"""How fast the usual noise follows a frame's."""
+_FLOW_WINDOW_PX, _FLOW_LEVELS, _RETURN_PX = 13, 3, 0.7
+_RETURN_SCALES = (1.0, 0.9, 1.11, 0.8, 1.25)
+
+
+class FrameState(StrEnum):
+    """What a frame's answer is worth."""
+
+    STARTED = "started"
+    TRACKED = "tracked"
+    RESTARTED = "restarted"
+    """Found again after a loss."""
+    LOST = "lost"
+    """No answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """One frame."""
+
+    state: FrameState
+    estimate: Estimate | None
+    """None where the face is lost."""
+    light: NDArray[np.float64] | None
+    """(3, 9)."""
+    residual: float
+    """Root mean square photometric residual per channel of what agrees, linear intensity; NaN where lost."""
+    inliers: float
+    """Share of the skin in view that looks as rendered."""
+    visible: float
+    """Skin in view over that of the first frame."""
+    correlation: float
+    """Zero-mean normalised cross-correlation of rendering and picture over the skin in view."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """What the next frame starts from."""
+
+    estimate: Estimate
+    appearance: Appearance
+    look: Look
+    grey: NDArray[np.uint8]
+    slopes: Slopes
+
+
+class MonocularTracker:
+    """Follows one face in one camera's pictures (height, width, 3) uint8, sRGB-encoded, channels in any but one order."""
+
+    def __init__(
+        self, model: HeadModel, camera: Camera, settings: MonocularSettings | None = None, *, focal_known: bool = True
+    ) -> None:
+        """`camera` may stand anywhere: estimates are in its own axes. An unknown focal length is estimated at the first frame."""
+        self.settings = settings or MonocularSettings()
+        self.surface = FaceSurface(model, self.settings.expressions, self.settings.shapes)
+        self.camera, self.focal_known = replace(camera, camera_from_world=np.eye(4)), focal_known
+        self._cameras: list[Camera] = []
+        self._memory: _Memory | None = None
+        self._known_pixels, self._noise, self._lost = 0.0, np.inf, False
+        self._first: Estimate | None = None
+
+    # -- first frame ----------------------------------------------------------------------------------------------------------
+
+    def start(self, picture: NDArray[np.uint8], points: NDArray) -> FrameResult:
+        """Identity, albedo, light and pose from a frame and its detected points (68, 468 or 478, 2), the face about neutral.
+
+        Raises `InputError` for a picture of another size, or points that are no face.
+        """
+        self._check(picture)
+        surface, settings = self.surface, self.settings
+        features = detections.matched(surface, points, self.camera, settings.landmark_noise_share)
+        estimate = surface.at_rest(detections.place(surface, features))
+        prior, free = Prior.of(surface, settings), np.ones(surface.unknowns, bool)
+        # what one neutral frame shows is identity: with expressions free as well, their waves paint the albedo
+        free[JAW] = free[surface.expression_columns] = False
+        free[-1] = not self.focal_known
+        estimate = descend_sparse(FrameProblem(surface, (), prior, settings, [features]), estimate, free, _SPARSE_STEPS)
+        share = finest_share(surface, self.camera, estimate, settings.finest_edge_px)
+        self._cameras = cameras_of_levels(self.camera, share, settings.levels)
+        levels = levels_of(picture, self._cameras)
+        problem = FrameProblem(surface, levels, prior, settings, [features], correlated_mm=settings.correlated_start_mm)
+        appearance = self._plain_appearance(levels)
+        appearance = self._relit(problem, estimate, appearance, 0, 3)
+        # identity at the finest resolution alone: coarse pixels average curved shading, which looks like a flatter face
+        for _ in range(_START_ROUNDS):
+            slopes = surface.slopes(estimate, shape=True, focal=not self.focal_known)
+            fit = descend(problem, estimate, appearance, 0, free, slopes)
+            estimate, appearance = fit.estimate, fit.appearance
+        appearance = self._painted(problem, estimate, appearance)
+        self._first = estimate
+        result = self._remember(FrameState.STARTED, problem, estimate, appearance, self._grey(picture), surface.slopes(estimate))
+        if result is None:
+            raise InputError(
+                "a face that does not look like one", expected="a face seen from the front", remedy="Check the points."
+            )
+        return result
+
+    def _plain_appearance(self, levels: list[Level]) -> Appearance:
+        """Skin of one colour; lips and brows are not believed to have it."""
+        surface = self.surface
+        trust = np.where(surface.blind, 0.0, 1.0)
+        for name, mask in surface.model.regions.items():
+            if name.startswith("lip"):
+                trust[mask[surface.vertices]] = 0.0
+        light = np.zeros((3, COEFFICIENTS))
+        ones = np.ones((len(surface.vertices), 3))
+        return Appearance(light, tuple(ones for _ in levels), trust)
+
+    def _relit(self, problem: FrameProblem, estimate: Estimate, appearance: Appearance, level: int, rounds: int) -> Appearance:
+        for _ in range(rounds):
+            if not appearance.light.any():
+                appearance = replace(appearance, light=self._first_light(problem, estimate, appearance, level))
+            appearance = relight(problem.look(estimate, appearance, level), appearance, level, self.settings)
+        return appearance
+
+    def _first_light(self, problem: FrameProblem, estimate: Estimate, appearance: Appearance, level: int) -> NDArray:
+        """Light from all around that gives the median colour of the skin in view."""
+        look = problem.look(estimate, appearance, level, 1e3)
+        seen, weight = observed(look.photo, look.colours)
+        light = np.zeros((3, COEFFICIENTS))
+        if not (weight > 0).any():
+            raise InputError("no skin in the picture", expected="a face inside it", remedy="Check the detected points.")
+        light[:, 0] = np.median(seen[weight > 0], axis=0) / harmonics(np.array([0.0, 0.0, 1.0]))[0]
+        return light
+
+    def _painted(self, problem: FrameProblem, estimate: Estimate, appearance: Appearance) -> Appearance:
+        """The skin's own albedo where this frame shows it."""
+        everything = replace(appearance, trust=np.where(self.surface.blind, 0.0, 1.0))
+        # a wide robust scale: brows and lips are what they are, and no outliers any more
+        looks = [problem.look(estimate, everything, level, 1e3) for level in range(len(problem.levels))]
+        return paint(looks, everything, np.ones((len(self.surface.vertices), 3)), self.settings)
+
+    # -- further frames -------------------------------------------------------------------------------------------------------
+
+    def follow(self, picture: NDArray[np.uint8], points: NDArray | None = None) -> FrameResult:
+        """The next frame, from the one before; `points` (68, 468 or 478, 2), where a detector found any, help.
+
+        Raises `InputError` where nothing has been started, or for a picture of another size.
+        """
+        if self._memory is None:
+            raise InputError("no first frame", expected="a started tracker", remedy="Start it with a frame and its points.")
+        self._check(picture)
+        levels = levels_of(picture, self._cameras)
+        grey = self._grey(picture)
+        given = self._given(points)
+        if not self._lost:
+            result = self._from_before(levels, grey, given)
+            if result is not None:
+                return result
+        self._lost = True
+        return self._found_again(levels, grey, given) or _lost()
+
+    def _grey(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """At the finest resolution used."""
+        return cv2.resize(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), self._cameras[0].size, interpolation=cv2.INTER_AREA)
+
+    def _given(self, points: NDArray | None) -> list[Features]:
+        if points is None:
+            return []
+        try:
+            return [detections.matched(self.surface, points, self.camera, self.settings.landmark_noise_share)]
+        except InputError:
+            # a detector may see half a face: what it saw does not help, and does no harm
+            return []
+
+    def _from_before(self, levels: list[Level], grey: NDArray, given: list[Features]) -> FrameResult | None:
+        """The frame from the one before, None where it is lost."""
+        before = self._memory
+        prior = Prior.of(self.surface, self.settings).near(self.surface, before.estimate, self.settings)
+        free, slopes = self._free(), before.slopes
+        sparse = given + self._flow(before, grey)
+        estimate = before.estimate
+        if sparse:
+            problem = FrameProblem(self.surface, (), prior, self.settings, sparse)
+            estimate = descend_sparse(problem, estimate, free, 4, slopes)
+        problem = FrameProblem(self.surface, levels, prior, self.settings, given, self._most_noise)
+        return self._fitted(FrameState.TRACKED, problem, estimate, before.appearance, grey)
+
+    def _fitted(
+        self, state: FrameState, problem: FrameProblem, estimate: Estimate, appearance: Appearance, grey: NDArray
+    ) -> FrameResult | None:
+        """Coarse to fine from a start; None where the picture does not agree with what comes out."""
+        slopes, free, last = self.surface.slopes(estimate), self._free(), len(problem.levels) - 1
+        for level in reversed(range(last + 1)):
+            fit = descend(problem, estimate, appearance, level, free, slopes)
+            estimate, appearance = fit.estimate, fit.appearance
+        return self._remember(state, problem, estimate, appearance, grey, slopes)
+
+    def _free(self) -> NDArray[np.bool_]:
+        """Identity and lens are the first frame's."""
+        free = np.ones(self.surface.unknowns, bool)
+        free[self.surface.shape_columns] = False
+        free[-1] = False
+        return free
+
+    def _flow(self, before: _Memory, grey: NDArray) -> list[Features]:
+        """Pieces of skin of the frame before, found in this one by optical flow there and back (Lucas and Kanade, pyramids)."""
+        trusted = before.appearance.trust * before.look.photo.sums[:, 0] > 0.2
+        seen = np.flatnonzero(trusted)
+        if self.settings.flow_points == 0 or len(seen) < detections.LEAST_LANDMARKS:
+            return []
+        seen = seen[:: max(1, len(seen) // self.settings.flow_points)]
+        start = before.look.view.pixels[seen].astype(np.float32).reshape(-1, 1, 2)
+        given = {"winSize": (_FLOW_WINDOW_PX, _FLOW_WINDOW_PX), "maxLevel": _FLOW_LEVELS}
+        there, found, _ = cv2.calcOpticalFlowPyrLK(before.grey, grey, start, None, **given)
+        back, found_back, _ = cv2.calcOpticalFlowPyrLK(grey, before.grey, there, None, **given)
+        away = np.linalg.norm((back - start).reshape(-1, 2), axis=1)
+        good = (found.ravel() == 1) & (found_back.ravel() == 1) & (away < _RETURN_PX)
+        if good.sum() < detections.LEAST_LANDMARKS:
+            return []
+        pixels = there.reshape(-1, 2)[good].astype(float)
+        return [Features(seen[good], pixels, self.settings.flow_noise_px, self._cameras[0])]
+
+    # -- loss -----------------------------------------------------------------------------------------------------------------
+
+    def _found_again(self, levels: list[Level], grey: NDArray, given: list[Features]) -> FrameResult | None:
+        """The face anywhere in the picture, from detected points or by its own look; None where it is not found."""
+        for estimate in self._places(levels, given):
+            prior = Prior.of(self.surface, self.settings)
+            problem = FrameProblem(self.surface, levels, prior, self.settings, given, self._most_noise)
+            result = self._fitted(FrameState.RESTARTED, problem, estimate, self._memory.appearance, grey)
+            if result is not None:
+                self._lost = False
+                return result
+        return None
+
+    def _places(self, levels: list[Level], given: list[Features]):
+        """Where to look: at the detected points, else where the coarsest picture is most like the face as last seen."""
+        rest = replace(self._first, expression=np.zeros(self.surface.expressions), jaw=np.zeros(3))
+        for features in given:
+            problem = FrameProblem(self.surface, (), Prior.of(self.surface, self.settings), self.settings, [features])
+            start = replace(rest, camera_from_head=detections.place(self.surface, features))
+            yield descend_sparse(problem, start, self._free(), _SPARSE_STEPS)
+        if not given:
+            yield from self._like_before(levels[-1], rest)
+
+    def _like_before(self, level: Level, rest: Estimate):
+        """Best places of the first frame's face, rendered at several distances, by normalised cross-correlation."""
+        problem = FrameProblem(self.surface, [level], Prior.of(self.surface, self.settings), self.settings)
+        appearance = replace(self._memory.appearance, albedo=self._memory.appearance.albedo[-1:])
+        found = []
+        for scale in _RETURN_SCALES:
+            nearer = rest.camera_from_head.copy()
+            nearer[2, 3] /= scale
+            estimate = replace(rest, camera_from_head=nearer)
+            look = problem.look(estimate, appearance, 0, 1.0)
+            place = _best_place(level, look, self.surface.triangles)
+            if place is not None:
+                score, way = place
+                nearer = nearer.copy()
+                nearer[:2, 3] += way * nearer[2, 3] / level.camera.matrix[[0, 1], [0, 1]] / np.exp(rest.log_focal)
+                found.append((score, replace(rest, camera_from_head=nearer)))
+        yield from (estimate for _, estimate in sorted(found, key=lambda pair: -pair[0])[:2])
+
+    # -- bookkeeping ----------------------------------------------------------------------------------------------------------
+
+    @property
+    def _most_noise(self) -> float:
+        """Residuals are never taken for noise beyond this: what looks nothing like the face is no noisy face."""
+        look = self._memory.look
+        bright = float(np.abs(look.colours[look.photo.sums[:, 0] > 0]).mean())
+        return min(self.settings.most_noise_share * bright, self.settings.noise_growth * self._noise)
+
+    def _remember(self, state, problem, estimate, appearance, grey, slopes) -> FrameResult | None:
+        """The result, if it is one, kept for the next frame."""
+        look = problem.look(estimate, appearance, 0)
+        photo, noise = look.photo, look.photo.scale / self.settings.robust_sigmas
+        if state is FrameState.STARTED:
+            self._known_pixels = photo.pixels
+        inliers, visible = photo.inliers / max(photo.pixels, 1e-9), photo.pixels / max(self._known_pixels, 1e-9)
+        alike = _correlation(look, self.surface.triangles, appearance.trust)
+        settings = self.settings
+        good = inliers >= settings.least_inliers and visible >= settings.least_visible and alike >= settings.least_correlation
+        if not good:
+            return None
+        if state is FrameState.TRACKED:
+            self._noise = noise if np.isinf(self._noise) else self._noise + _NOISE_GAIN * (noise - self._noise)
+        self._memory = _Memory(estimate, appearance, look, grey, slopes)
+        residual = float(np.sqrt(photo.squares / max(photo.inliers, 1e-9) / 3.0))
+        return FrameResult(state, estimate, appearance.light, residual, inliers, visible, alike)
+
+    def _check(self, picture: NDArray) -> None:
+        if picture.dtype != np.uint8 or picture.shape != (self.camera.height, self.camera.width, 3):
+            raise InputError(
+                f"a picture of {picture.shape} {picture.dtype}",
+                expected=f"({self.camera.height}, {self.camera.width}, 3) uint8, as the camera {self.camera.name}",
+                remedy="Give the camera of this video.",
+            )
+
+
+def _lost() -> FrameResult:
+    return FrameResult(FrameState.LOST, None, None, np.nan, 0.0, 0.0, np.nan)
+
+
+def _rendered(look: Look, triangles: NDArray, trust: NDArray | None = None) -> tuple[NDArray, NDArray]:
+    """Rendered colours (k, 3) and the pixels (height, width) they belong to, of trusted skin."""
+    here = look.view.usable.copy()
+    corners = triangles[look.view.raster.triangle[here]]
+    if trust is not None:
+        known = trust[corners].min(axis=1) > 0
+        here[here] = known
+        corners = corners[known]
+    return np.einsum("kj,kjc->kc", look.view.shares[here], look.colours[corners]), here
+
+
+def _correlation(look: Look, triangles: NDArray, trust: NDArray) -> float:
+    """Zero-mean normalised cross-correlation of rendering and picture, robustly weighted; -1 where no skin is in view."""
+    rendered, here = _rendered(look, triangles, trust)
+    if len(rendered) < 10:
+        return -1.0
+    left = ((look.level.picture[here] - rendered) ** 2).sum(axis=1)
+    weight = 1.0 / (1.0 + left / look.photo.scale**2) ** 2
+    a, b = rendered.mean(axis=1), look.level.picture[here].mean(axis=1)
+    a, b = a - np.average(a, weights=weight), b - np.average(b, weights=weight)
+    return float((weight * a) @ b / max(np.sqrt(((weight * a) @ a) * ((weight * b) @ b)), 1e-12))
+
+
+def _best_place(level: Level, look: Look, triangles: NDArray) -> tuple[float, NDArray] | None:
+    """The highest correlation of the rendered face with the picture, and the way (2,) there from where it was rendered, px."""
+    rendered, here = _rendered(look, triangles)
+    rows, columns = np.nonzero(here)
+    if len(rows) < 30:
+        return None
+    (top, left), (bottom, right) = (rows.min(), columns.min()), (rows.max() + 1, columns.max() + 1)
+    template = np.zeros((*here.shape, 3), np.float32)
+    template[here] = rendered
+    mask = np.repeat(here[..., None], 3, axis=2).astype(np.float32)
+    box = (slice(top, bottom), slice(left, right))
+    scores = cv2.matchTemplate(level.picture, template[box], cv2.TM_CCOEFF_NORMED, mask=mask[box])
+    scores = np.where(np.isfinite(scores), scores, -1.0)
+    y, x = np.unravel_index(int(scores.argmax()), scores.shape)
+    return float(scores[y, x]), np.array([x - left, y - top], float)

@@ -1,0 +1,267 @@
+"""The tracker on heads whose shape, motion, light and albedo are known, rendered under spherical-harmonics light."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from headcap.artifacts import ArtifactError
+from headcap.cameras import Camera
+from headcap.errors import InputError
+from headcap.geometry.transforms import fit_rigid, rigid, rotation_angle, transform
+from headcap.heads import HeadCoefficients, HeadModel, procedural_model
+from headcap.lips.monocular import detections, harmonics
+from headcap.lips.monocular.sequence import MonocularTrack, track_video
+from headcap.lips.monocular.settings import MonocularSettings
+from headcap.lips.monocular.surface import Estimate
+from headcap.lips.monocular.tracker import FrameState, MonocularTracker
+from headcap.meshes.normals import vertex_normals
+from headcap.meshes.rasteriser import rasterise
+
+WIDTH, HEIGHT, FOCAL, AWAY_M = 270, 400, 950.0, 1.0
+NOISE = 0.003
+LANDMARK_NOISE_PX = 1.0
+SETTINGS = MonocularSettings(expressions=30, shapes=12)
+PIXEL_MM = 1e3 * AWAY_M / FOCAL
+"""On the face, at full resolution, which is the finest that is used here."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What the head does."""
+
+    expression: np.ndarray
+    jaw_rad: float
+    camera_from_head: np.ndarray
+
+
+class Studio:
+    """A person of the model's kind, skin with patches of 6 and 20 mm, and a camera."""
+
+    def __init__(self) -> None:
+        random = np.random.default_rng(8)
+        self.model = procedural_model(shapes=12, expressions=30)
+        self.shape = random.normal(0, 0.8, 12)
+        self.camera = Camera(
+            "frontal", WIDTH, HEIGHT, np.array([[FOCAL, 0, 134.5], [0, FOCAL, 199.5], [0, 0, 1]]), np.zeros(5), np.eye(4)
+        )
+        self.albedo = _skin(self.model, random)
+        light = np.zeros((3, 9))
+        light[:, :4] = [2.4, -0.7, -1.0, 0.35]
+        self.light = light * [[1.05], [1.0], [0.95]]
+        facing = Rotation.from_euler("xyz", [4, -8, 2], degrees=True).as_matrix() @ np.diag([1.0, -1.0, -1.0])
+        self.still = Moment(np.zeros(30), 0.0, rigid(facing, [0.005, 0.01, AWAY_M]))
+        turned = rigid(Rotation.from_euler("y", 3, degrees=True).as_matrix() @ facing, [0.008, 0.008, AWAY_M - 0.004])
+        self.speaking = Moment(random.normal(0, 0.25, 30), 0.08, turned)
+        near = np.linalg.norm(self.model.vertices - self.model.vertices[self.model.landmarks["mouth_upper"]], axis=1) < 0.035
+        self.mouth = near & self.model.regions["face"]
+
+    def mesh(self, moment: Moment) -> np.ndarray:
+        pose = np.array([[0, 0, 0], [moment.jaw_rad, 0, 0]])
+        given = HeadCoefficients(self.shape, moment.expression, pose, placement=moment.camera_from_head)
+        return self.model.evaluate(given).astype(float)
+
+    def shown(self, estimate: Estimate) -> np.ndarray:
+        pose = np.stack([np.zeros(3), estimate.jaw])
+        given = HeadCoefficients(estimate.shape, estimate.expression, pose, placement=estimate.camera_from_head)
+        return self.model.evaluate(given).astype(float)
+
+    def picture(self, moment: Moment, light: np.ndarray | None = None, seed: int = 0) -> np.ndarray:
+        """Two by two samples per pixel, sensor noise, sRGB."""
+        mesh, big = self.mesh(moment), self.camera.scaled(2)
+        raster = rasterise(big, mesh, self.model.triangles)
+        normals = vertex_normals(mesh, self.model.triangles)
+        colours = self.albedo * harmonics.shading(normals, self.light if light is None else light)
+        seen = np.nan_to_num(raster.interpolate(self.model.triangles, colours), nan=0.1).astype(np.float32)
+        seen = cv2.resize(seen, self.camera.size, interpolation=cv2.INTER_AREA)
+        seen = np.clip(seen + np.random.default_rng(seed).normal(0, NOISE, seen.shape), 0, 1)
+        encoded = np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
+        return np.rint(255 * encoded).astype(np.uint8)
+
+    def points(self, moment: Moment, noise_px: float = LANDMARK_NOISE_PX) -> np.ndarray:
+        """As a detector of 68 points finds those that the model knows."""
+        out, pixels = np.full((68, 2), np.nan), self.camera.project(self.mesh(moment))[0]
+        for name, at in detections.SCHEMES[68].items():
+            out[at] = pixels[self.model.landmarks[name]]
+        return out + np.random.default_rng(4).normal(0, noise_px, out.shape)
+
+    def error_mm(self, estimate: Estimate, moment: Moment, chosen: np.ndarray) -> float:
+        """Mean vertex error after the rigid motion of the face is taken out: depth is what one camera does not tell."""
+        found, true, face = self.shown(estimate), self.mesh(moment), self.model.regions["face"]
+        aligned = transform(fit_rigid(found[face], true[face]), found)
+        return float(1e3 * np.linalg.norm(aligned - true, axis=1)[chosen].mean())
+
+    def drift_px(self, first: Estimate, estimate: Estimate, moment: Moment, chosen: np.ndarray) -> float:
+        """How much less well, in the picture, the skin lies than it did at the first frame, root mean square."""
+        ways = [
+            self.camera.project(self.shown(e))[0] - self.camera.project(self.mesh(m))[0]
+            for e, m in ((first, self.still), (estimate, moment))
+        ]
+        return float(np.sqrt(((ways[1] - ways[0])[chosen] ** 2).sum(axis=1).mean()))
+
+
+def _skin(model: HeadModel, random: np.random.Generator) -> np.ndarray:
+    v = model.vertices.astype(float)
+    out = np.tile([0.28, 0.37, 0.6], (len(v), 1))
+    for wavelength_m, strength in ((0.006, 0.06),):
+        directions = random.normal(size=(24, 3))
+        directions *= 2 * np.pi / wavelength_m / np.linalg.norm(directions, axis=1, keepdims=True)
+        out *= 1 + strength * np.cos(v @ directions.T + random.uniform(0, 6.28, 24)).sum(1, keepdims=True) / np.sqrt(12)
+    for name, colour in (("lips_outer", [0.16, 0.17, 0.47]), ("lips_inner", [0.12, 0.12, 0.4]), ("eyes", [0.3, 0.3, 0.3])):
+        out[model.regions[name]] = colour
+    out[model.regions["mouth_interior"]] = [0.05, 0.05, 0.1]
+    return out
+
+
+@pytest.fixture(scope="module")
+def studio() -> Studio:
+    return Studio()
+
+
+@dataclass
+class Started:
+    tracker: MonocularTracker
+    first: Estimate
+
+
+@pytest.fixture
+def started(studio: Studio) -> Started:
+    tracker = MonocularTracker(studio.model, studio.camera, SETTINGS)
+    result = tracker.start(studio.picture(studio.still), studio.points(studio.still))
+    return Started(tracker, result.estimate)
+
+
+def test_first_frame_finds_the_person(studio: Studio, started: Started):
+    face = studio.model.regions["face"]
+    surface = started.tracker.surface
+    features = detections.matched(surface, studio.points(studio.still), studio.camera, SETTINGS.landmark_noise_share)
+    mean_head = surface.at_rest(detections.place(surface, features))
+    # shading tells what sixteen landmarks, each a pixel and three per cent of the eyes' distance off, leave open
+    assert studio.error_mm(started.first, studio.still, face) < 0.9 * studio.error_mm(mean_head, studio.still, face)
+    turns = [e.camera_from_head[:3, :3] @ studio.still.camera_from_head[:3, :3].T for e in (mean_head, started.first)]
+    by_landmarks, found = np.degrees(rotation_angle(np.stack(turns)))
+    assert found < 0.8 * by_landmarks
+    shown, true = (studio.camera.project(mesh)[0] for mesh in (studio.shown(started.first), studio.mesh(studio.still)))
+    # each landmark counts with a pixel and three per cent of the eyes' distance: their mean over the face is within half that
+    assert np.linalg.norm((shown - true)[face], axis=1).mean() < 0.5 * (1 + 0.03 * 90)
+
+
+def test_a_frame_is_followed_within_a_pixel(studio: Studio, started: Started):
+    result = started.tracker.follow(studio.picture(studio.speaking, seed=1))
+    assert result.state is FrameState.TRACKED
+    # the motion itself is ten times that, and jaw and expressions have priors that pull back
+    assert studio.drift_px(started.first, result.estimate, studio.speaking, studio.mouth) < 1.0
+    moved = np.linalg.norm(studio.mesh(studio.speaking) - studio.mesh(studio.still), axis=1)[studio.mouth].mean()
+    own = studio.error_mm(started.first, studio.still, studio.mouth)
+    assert studio.error_mm(result.estimate, studio.speaking, studio.mouth) < own + PIXEL_MM < 1e3 * moved
+    assert result.correlation > 0.95
+    assert result.inliers > 0.6
+    # residual: sensor noise, quantisation and what vertices cannot show
+    assert NOISE < result.residual < 5 * NOISE
+
+
+def test_the_same_frame_again_stays(studio: Studio, started: Started):
+    result = started.tracker.follow(studio.picture(studio.still, seed=2))
+    assert studio.drift_px(started.first, result.estimate, studio.still, studio.model.regions["face"]) < 0.15
+
+
+def test_light_that_changes_is_not_taken_for_motion(studio: Studio, started: Started):
+    dimmer = 0.8 * studio.light
+    dimmer[:, 3] += 0.5
+    result = started.tracker.follow(studio.picture(studio.still, dimmer, seed=3))
+    assert studio.drift_px(started.first, result.estimate, studio.still, studio.model.regions["face"]) < 0.5
+    # how shading differs over the skin, by the light found and by the one before; a common factor is the albedo's
+    normals = vertex_normals(studio.mesh(studio.still), studio.model.triangles)
+    seen = studio.model.regions["face"] & (normals[:, 2] < -0.4)
+    found, before, true = (harmonics.shading(normals[seen], light) for light in (result.light, studio.light, dimmer))
+    spread = [(each / true).std() / (each / true).mean() for each in (found / found.mean(axis=0), before / before.mean(axis=0))]
+    assert spread[0] < 0.4 * spread[1]
+
+
+def test_a_hand_before_the_cheek_is_an_outlier(studio: Studio, started: Started):
+    clear = studio.picture(studio.speaking, seed=1)
+    hidden = clear.copy()
+    middle = studio.camera.project(studio.mesh(studio.speaking)[studio.model.landmarks["eye_outer_left"]][None])[0][0]
+    x, y = middle.astype(int)
+    hidden[y - 20 : y + 50, x - 22 : x + 60] = [90, 60, 50]
+    covered = (hidden != clear).any(axis=2).mean()
+    assert covered > 0.04
+    result = started.tracker.follow(hidden)
+    assert result.state is FrameState.TRACKED
+    assert studio.drift_px(started.first, result.estimate, studio.speaking, studio.mouth) < 1.5
+
+
+def test_a_loss_is_told_and_mended(studio: Studio, started: Started):
+    empty = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    lost = started.tracker.follow(empty)
+    assert lost.state is FrameState.LOST
+    assert lost.estimate is None
+    assert np.isnan(lost.residual)
+    elsewhere = studio.still.camera_from_head.copy()
+    elsewhere[:3, 3] += [0.03, -0.02, 0.03]
+    moment = Moment(studio.still.expression, 0.0, elsewhere)
+    again = started.tracker.follow(studio.picture(moment, seed=5))
+    assert again.state is FrameState.RESTARTED
+    assert studio.drift_px(started.first, again.estimate, moment, studio.model.regions["face"]) < 1.0
+    assert started.tracker.follow(studio.picture(moment, seed=6)).state is FrameState.TRACKED
+
+
+def test_an_unknown_lens_is_estimated(studio: Studio):
+    near = studio.still.camera_from_head.copy()
+    near[2, 3] = 0.42
+    moment = Moment(np.zeros(30), 0.0, near)
+    mean_person = Studio()
+    mean_person.shape = np.zeros(12)
+    mean_person.camera = replace(studio.camera, matrix=_with_focal(studio.camera.matrix, 0.42 * FOCAL))
+    guess = replace(studio.camera, matrix=_with_focal(studio.camera.matrix, 1.25 * 0.42 * FOCAL))
+    settings = SETTINGS.model_copy(update={"landmark_noise_share": 0.003, "shapes": 0})
+    tracker = MonocularTracker(studio.model, guess, settings, focal_known=False)
+    result = tracker.start(mean_person.picture(moment), mean_person.points(moment, 0.2))
+    # of a head whose shape is known, perspective at 0.42 m tells the lens to a tenth; the prior's centre is a quarter off
+    assert np.exp(result.estimate.log_focal) == pytest.approx(0.8, rel=0.1)
+
+
+def _with_focal(matrix: np.ndarray, focal_px: float) -> np.ndarray:
+    out = matrix.copy()
+    out[[0, 1], [0, 1]] = focal_px
+    return out
+
+
+def test_a_video_becomes_a_track(studio: Studio, tmp_path):
+    moments = [studio.still, studio.still, studio.speaking]
+    pictures = [studio.picture(m, seed=k) for k, m in enumerate(moments)]
+    pictures.insert(2, np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
+    track = track_video(studio.model, studio.camera, pictures, np.arange(4) / 25, {1: studio.points(studio.still)}, SETTINGS)
+    assert track.states[:3] == (FrameState.LOST, FrameState.STARTED, FrameState.LOST)
+    assert track.answered.tolist() == [False, True, False, True]
+    track.save(tmp_path / "track.npz")
+    again = MonocularTrack.load(tmp_path / "track.npz")
+    assert again.states == track.states
+    assert np.array_equal(again.placement, track.placement, equal_nan=True)
+    meshes = list(again.meshes(studio.model))
+    assert [bool(np.isfinite(mesh).all()) for mesh in meshes] == track.answered.tolist()
+    assert np.linalg.norm(meshes[1] - studio.mesh(studio.still), axis=1).mean() < 0.05
+    with pytest.raises(InputError, match="head model"):
+        next(again.meshes(procedural_model(shapes=3, expressions=3)))
+    other = tmp_path / "other.npz"
+    studio.model.save(other)
+    with pytest.raises(ArtifactError):
+        MonocularTrack.load(other)
+
+
+def test_what_cannot_be_tracked_is_refused(studio: Studio, started: Started):
+    with pytest.raises(InputError, match="picture"):
+        started.tracker.follow(np.zeros((10, 10, 3), np.uint8))
+    fresh = MonocularTracker(studio.model, studio.camera, SETTINGS)
+    with pytest.raises(InputError, match="first frame"):
+        fresh.follow(studio.picture(studio.still))
+    upside_down = np.array([WIDTH, HEIGHT]) - studio.points(studio.still, 0.0) * [1, 1]
+    mirrored = studio.points(studio.still, 0.0) * [-1, 1] + [WIDTH, 0]
+    with pytest.raises(InputError):
+        fresh.start(studio.picture(studio.still), mirrored)
+    with pytest.raises(InputError):
+        fresh.start(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), upside_down)
+    with pytest.raises(InputError, match="detected points"):
+        track_video(studio.model, studio.camera, [], np.zeros(0), {}, SETTINGS)
