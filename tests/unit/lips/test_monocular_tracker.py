@@ -112,6 +112,9 @@ def _skin(model: HeadModel, random: np.random.Generator) -> np.ndarray:
     for name, colour in (("lips_outer", [0.16, 0.17, 0.47]), ("lips_inner", [0.12, 0.12, 0.4]), ("eyes", [0.3, 0.3, 0.3])):
         out[model.regions[name]] = colour
     out[model.regions["mouth_interior"]] = [0.05, 0.05, 0.1]
+    for side in ("left", "right"):
+        away = (v - v[model.landmarks[f"eye_top_{side}"]] - [0.0, 0.015, 0.0]) / [0.02, 0.004, 0.02]
+        out *= 1 - 0.7 * np.exp(-(away**2).sum(axis=1, keepdims=True))
     return out
 
 
@@ -229,6 +232,16 @@ def _with_focal(matrix: np.ndarray, focal_px: float) -> np.ndarray:
     return out
 
 
+def test_a_face_is_found_from_nothing(studio: Studio):
+    tracker = MonocularTracker(studio.model, studio.camera, SETTINGS)
+    result = tracker.start(studio.picture(studio.still))
+    shown, true = (studio.camera.project(mesh)[0] for mesh in (studio.shown(result.estimate), studio.mesh(studio.still)))
+    eyes = true[[studio.model.landmarks[f"eye_outer_{side}"] for side in ("left", "right")]]
+    marks = [studio.model.landmarks[name] for name in ("mouth_corner_left", "mouth_corner_right", "nose_tip", "subnasale")]
+    # a tenth of the eyes' distance: between a good detector's points and taking a nostril for a mouth
+    assert np.linalg.norm((shown - true)[marks], axis=1).max() < 0.1 * np.linalg.norm(eyes[0] - eyes[1])
+
+
 def test_a_video_becomes_a_track(studio: Studio, tmp_path):
     moments = [studio.still, studio.still, studio.speaking]
     pictures = [studio.picture(m, seed=k) for k, m in enumerate(moments)]
@@ -257,6 +270,8 @@ def test_what_cannot_be_tracked_is_refused(studio: Studio, started: Started):
     fresh = MonocularTracker(studio.model, studio.camera, SETTINGS)
     with pytest.raises(InputError, match="first frame"):
         fresh.follow(studio.picture(studio.still))
+    with pytest.raises(InputError, match="no face"):
+        fresh.start(np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
     upside_down = np.array([WIDTH, HEIGHT]) - studio.points(studio.still, 0.0) * [1, 1]
     mirrored = studio.points(studio.still, 0.0) * [-1, 1] + [WIDTH, 0]
     with pytest.raises(InputError):
@@ -264,4 +279,6 @@ def test_what_cannot_be_tracked_is_refused(studio: Studio, started: Started):
     with pytest.raises(InputError):
         fresh.start(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), upside_down)
     with pytest.raises(InputError, match="detected points"):
+        track_video(studio.model, studio.camera, [], np.zeros(0), {3: studio.points(studio.still)}, SETTINGS)
+    with pytest.raises(InputError, match="without pictures"):
         track_video(studio.model, studio.camera, [], np.zeros(0), {}, SETTINGS)

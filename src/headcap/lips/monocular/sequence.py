@@ -101,7 +101,7 @@ def track_video(
     camera: Camera,
     pictures: Iterable[NDArray[np.uint8]],
     time_s: NDArray,
-    detections: Mapping[int, NDArray],
+    detections: Mapping[int, NDArray] | None = None,
     settings: MonocularSettings | None = None,
     *,
     focal_known: bool = True,
@@ -109,12 +109,12 @@ def track_video(
     """Follow the face through pictures (height, width, 3) uint8, sRGB-encoded, BGR, taken at `time_s` (f,) by a camera.
 
     `detections` are points (68, 468 or 478, 2) by frame number. The first frame that has any starts the tracker and should show
-    a neutral face; frames before it are without an answer. Later ones help where they are given. Raises `InputError` where no
-    frame has points, or those of the first are no face, or pictures and times differ in number.
+    a neutral face; later ones help where they are given. Without any, the first frame in which a frontal face is found starts
+    it. Frames before are without an answer. Raises `InputError` where nothing starts, or pictures and times differ in number.
     """
     time_s = np.asarray(time_s, float)
-    usable = sorted(k for k, points in detections.items() if 0 <= k < len(time_s) and len(points) in SCHEMES)
-    if not usable:
+    given = {k: points for k, points in (detections or {}).items() if 0 <= k < len(time_s) and len(points) in SCHEMES}
+    if detections and not given:
         raise InputError(
             f"{len(detections)} frames with detected points, none of them among the video's {len(time_s)}",
             expected="one frame at least, of a neutral face seen from the front",
@@ -122,16 +122,28 @@ def track_video(
         )
     tracker = MonocularTracker(model, camera, settings, focal_known=focal_known)
     results: list[FrameResult | None] = []
+    refusal: InputError | None = None
     for k, picture in enumerate(pictures):
-        if k < usable[0]:
-            results.append(None)
-        elif k == usable[0]:
-            results.append(tracker.start(picture, detections[k]))
+        if any(results):
+            results.append(tracker.follow(picture, given.get(k)))
+        elif given:
+            results.append(tracker.start(picture, given[k]) if k == min(given) else None)
         else:
-            results.append(tracker.follow(picture, detections.get(k)))
+            result, refusal = _tried(tracker, picture)
+            results.append(result)
+    if not any(results):
+        raise refusal or InputError("a video without pictures", expected="one at least", remedy="Look at the file.")
     if len(results) != len(time_s):
         raise InputError(f"{len(results)} pictures", expected=f"{len(time_s)}, one per moment", remedy="Read the video whole.")
     return _joined(model, camera, tracker, time_s, results)
+
+
+def _tried(tracker: MonocularTracker, picture: NDArray[np.uint8]) -> tuple[FrameResult | None, InputError | None]:
+    """A start from nothing, or why there is none."""
+    try:
+        return tracker.start(picture), None
+    except InputError as error:
+        return None, error
 
 
 def _joined(

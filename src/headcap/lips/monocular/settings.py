@@ -32,6 +32,9 @@ class MonocularSettings(BaseModel):
     albedo_stiffness: float = Field(
         0.05, gt=0, description="Pixels' worth of weight with which unseen skin looks like its region"
     )
+    least_face_score: float = Field(
+        0.40, ge=-1, le=1, description="Likeness to the generic face, below which a picture without given landmarks shows none"
+    )
     landmark_noise_share: float = Field(
         0.03, gt=0, description="Standard deviation of given landmarks over the distance of the outer eye corners"
     )

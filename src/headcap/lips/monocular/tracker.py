@@ -13,12 +13,13 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.heads import HeadModel
 from headcap.lips.monocular import detections
+from headcap.lips.monocular.finder import find_face, generic_colour, mistaken
 from headcap.lips.monocular.harmonics import COEFFICIENTS, harmonics
 from headcap.lips.monocular.photometric import Level, observed
 from headcap.lips.monocular.pictures import cameras_of_levels, finest_share, levels_of
 from headcap.lips.monocular.problem import Appearance, Features, FrameProblem, Look, Prior
 from headcap.lips.monocular.settings import MonocularSettings
-from headcap.lips.monocular.solver import descend, descend_sparse, paint, relight
+from headcap.lips.monocular.solver import Fit, descend, descend_sparse, paint, relight
 from headcap.lips.monocular.surface import JAW, Estimate, FaceSurface, Slopes
 
 _START_ROUNDS, _SPARSE_STEPS = 3, 8
@@ -86,31 +87,18 @@ class MonocularTracker:
 
     # -- first frame ----------------------------------------------------------------------------------------------------------
 
-    def start(self, picture: NDArray[np.uint8], points: NDArray) -> FrameResult:
-        """Identity, albedo, light and pose from a frame and its detected points (68, 468 or 478, 2), the face about neutral.
+    def start(self, picture: NDArray[np.uint8], points: NDArray | None = None) -> FrameResult:
+        """Identity, albedo, light and pose from a frame of an about neutral face.
 
-        Raises `InputError` for a picture of another size, or points that are no face.
+        `points` (68, 468 or 478, 2) are what a detector found; without any the face is looked for, seen from the front. Raises
+        `InputError` for a picture of another size, points that are no face, and a picture without a face.
         """
         self._check(picture)
-        surface, settings = self.surface, self.settings
-        features = detections.matched(surface, points, self.camera, settings.landmark_noise_share)
-        estimate = surface.at_rest(detections.place(surface, features))
-        prior, free = Prior.of(surface, settings), np.ones(surface.unknowns, bool)
-        # what one neutral frame shows is identity: with expressions free as well, their waves paint the albedo
-        free[JAW] = free[surface.expression_columns] = False
-        free[-1] = not self.focal_known
-        estimate = descend_sparse(FrameProblem(surface, (), prior, settings, [features]), estimate, free, _SPARSE_STEPS)
-        share = finest_share(surface, self.camera, estimate, settings.finest_edge_px)
-        self._cameras = cameras_of_levels(self.camera, share, settings.levels)
-        levels = levels_of(picture, self._cameras)
-        problem = FrameProblem(surface, levels, prior, settings, [features], correlated_mm=settings.correlated_start_mm)
-        appearance = self._plain_appearance(levels)
-        appearance = self._relit(problem, estimate, appearance, 0, 3)
-        # identity at the finest resolution alone: coarse pixels average curved shading, which looks like a flatter face
-        for _ in range(_START_ROUNDS):
-            slopes = surface.slopes(estimate, shape=True, focal=not self.focal_known)
-            fit = descend(problem, estimate, appearance, 0, free, slopes)
-            estimate, appearance = fit.estimate, fit.appearance
+        surface = self.surface
+        if points is None:
+            problem, estimate, appearance = self._looked_for(picture)
+        else:
+            problem, estimate, appearance = self._identified(picture, points)
         appearance = self._painted(problem, estimate, appearance)
         self._first = estimate
         result = self._remember(FrameState.STARTED, problem, estimate, appearance, self._grey(picture), surface.slopes(estimate))
@@ -120,7 +108,67 @@ class MonocularTracker:
             )
         return result
 
-    def _plain_appearance(self, levels: list[Level]) -> Appearance:
+    def _identified(self, picture: NDArray[np.uint8], points: NDArray) -> tuple[FrameProblem, Estimate, Appearance]:
+        """The face at detected points, and the person by its shading."""
+        surface, settings, free = self.surface, self.settings, self._free_at_start()
+        features = [detections.matched(surface, points, self.camera, settings.landmark_noise_share)]
+        sparse = FrameProblem(surface, (), Prior.of(surface, settings), settings, features)
+        estimate = surface.at_rest(detections.place(surface, features[0]))
+        estimate = descend_sparse(sparse, estimate, free, _SPARSE_STEPS)
+        problem = self._first_problem(picture, estimate, features)
+        appearance = self._relit(problem, estimate, self._plain_appearance(len(problem.levels)), 0, _START_ROUNDS)
+        # identity at the finest resolution alone: coarse pixels average curved shading, which looks like a flatter face
+        for _ in range(_START_ROUNDS):
+            slopes = surface.slopes(estimate, shape=True, focal=bool(free[-1]))
+            fit = descend(problem, estimate, appearance, 0, free, slopes)
+            estimate, appearance = fit.estimate, fit.appearance
+        return problem, estimate, appearance
+
+    def _looked_for(self, picture: NDArray[np.uint8]) -> tuple[FrameProblem, Estimate, Appearance]:
+        """A face of generic albedo, laid on the picture's; raises `InputError` where there seems to be none."""
+        surface, least = self.surface, self.settings.least_face_score
+        found = find_face(surface, self.camera, picture)
+        if found is None or found.score < least:
+            score = "" if found is None else f", the best place is {found.score:.2f} like one"
+            raise InputError(
+                f"no face in the picture{score}",
+                expected=f"a face seen from the front, {least:.2f} like one",
+                remedy="Give a detector's points for this frame, or begin at a frame that shows the face from the front.",
+            )
+        problem = self._first_problem(picture, surface.at_rest(found.camera_from_head), [])
+        fits = [self._laid(problem, surface.at_rest(place)) for place in mistaken(found)]
+        best = max(fits, key=lambda fit: _correlation(fit.look, surface.triangles, fit.appearance.trust))
+        return problem, best.estimate, best.appearance
+
+    def _first_problem(self, picture: NDArray[np.uint8], estimate: Estimate, features: list[Features]) -> FrameProblem:
+        """The first frame at the resolutions that suit the face's size there."""
+        surface, settings = self.surface, self.settings
+        share = finest_share(surface, self.camera, estimate, settings.finest_edge_px)
+        self._cameras = cameras_of_levels(self.camera, share, settings.levels)
+        levels, prior = levels_of(picture, self._cameras), Prior.of(surface, settings)
+        return FrameProblem(surface, levels, prior, settings, features, correlated_mm=settings.correlated_start_mm)
+
+    def _laid(self, problem: FrameProblem, estimate: Estimate) -> Fit:
+        """A face of generic albedo, moved and shaped until it lies on the picture's, coarse to fine."""
+        colour, n_levels = generic_colour(self.surface), len(problem.levels)
+        light = np.zeros((3, COEFFICIENTS))
+        appearance = Appearance(light, (colour,) * n_levels, np.ones(len(colour)))
+        free = self._free_at_start()
+        free[-1] = False
+        for level in reversed(range(n_levels)):
+            appearance = self._relit(problem, estimate, appearance, level, _START_ROUNDS)
+            fit = descend(problem, estimate, appearance, level, free, self.surface.slopes(estimate, shape=True))
+            estimate, appearance = fit.estimate, fit.appearance
+        return fit
+
+    def _free_at_start(self) -> NDArray[np.bool_]:
+        """What one neutral frame shows is identity: with expressions free as well, their waves would paint the albedo."""
+        free = np.ones(self.surface.unknowns, bool)
+        free[JAW] = free[self.surface.expression_columns] = False
+        free[-1] = not self.focal_known
+        return free
+
+    def _plain_appearance(self, levels: int) -> Appearance:
         """Skin of one colour; lips and brows are not believed to have it."""
         surface = self.surface
         trust = np.where(surface.blind, 0.0, 1.0)
@@ -129,7 +177,7 @@ class MonocularTracker:
                 trust[mask[surface.vertices]] = 0.0
         light = np.zeros((3, COEFFICIENTS))
         ones = np.ones((len(surface.vertices), 3))
-        return Appearance(light, tuple(ones for _ in levels), trust)
+        return Appearance(light, (ones,) * levels, trust)
 
     def _relit(self, problem: FrameProblem, estimate: Estimate, appearance: Appearance, level: int, rounds: int) -> Appearance:
         for _ in range(rounds):
