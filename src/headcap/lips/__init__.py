@@ -1,1 +1,1 @@
-"""The lips: a monocular base tracker, lip contours, and a correction learnt from the rig (Garrido et al. 2016)."""
+"""Lips: what a monocular tracker gets wrong about the mouth, learnt from a rig and corrected in any video."""
