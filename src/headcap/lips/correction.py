@@ -114,13 +114,16 @@ class CorrectionLayer:
             row[:] = numbers
         return out
 
-    def corrected(self, base: NDArray, parameters: NDArray) -> NDArray[np.float64]:
+    def corrected(self, base: NDArray, parameters: NDArray, border: HeldBorder | None = None) -> NDArray[np.float64]:
         """Meshes (f, n, 3) of base-tracked ones (f, n, 3), canonical, with the layer (f, T, 9) put in.
 
         Deformation transfer: the vertices of the patch about the mouth minimise the sum over its triangles of weight x area x
         |S - G C|^2, G the layer's gradient (none outside of it), C of C_0 -> C_f; weights are `Mouth.weights`. Edges of C_f are
         carried, distances are weighed by C_0, so one Cholesky factor serves all frames; what lies about the patch stays as it
         was tracked. Frames with NaN stay NaN there.
+
+        With a `border` the lips' border is drawn to where a picture shows it (section 8, future work): the same sum plus
+        `HeldBorder.weight` x squared distances across the view, which is another constant matrix and one more factor.
         """
         base, parameters = np.asarray(base, np.float64), np.asarray(parameters)
         _check_meshes(base, self.base_neutral)
@@ -129,12 +132,17 @@ class CorrectionLayer:
             raise InputError(f"a layer of {parameters.shape}", expected=f"{wanted}", remedy="Use the mask it was learnt with.")
         out, patch = base.copy(), self._patch
         gradients = np.empty((len(self.mouth.layer), 3, 3))
-        for mesh, numbers in zip(out, parameters, strict=True):
+        held = np.zeros(len(base), bool) if border is None else np.isfinite(border.targets).all(axis=(1, 2))
+        for frame, (mesh, numbers) in enumerate(zip(out, parameters, strict=True)):
             compose(self.mouth.fade[:, None] * numbers, gradients)
             right = np.zeros((len(patch.free) + len(patch.rim), 3))
             _carried_edges(mesh, patch.corners, patch.local, patch.layer_of, patch.cotangents, gradients, right)
             inner = right[: len(patch.free)] - patch.border @ mesh[patch.rim]
-            mesh[patch.free] = patch.factor.solve(inner)
+            solved = patch.factor.solve(inner)
+            if held[frame]:
+                matrix, factor = patch.held(border)
+                solved[:, :2] = factor.solve(inner[:, :2] + border.weight * (matrix.T @ border.targets[frame]))
+            mesh[patch.free] = solved
         return out
 
     def _between(self, anchor: NDArray, corners: NDArray) -> NDArray[np.float64]:
@@ -146,6 +154,20 @@ class CorrectionLayer:
     @cached_property
     def _patch(self) -> _Patch:
         return _Patch(self.base_neutral, self.mouth)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldBorder:
+    """Where the lips' border belongs, seen along the head's z axis."""
+
+    edges: NDArray[np.int64]
+    """(k, 2) vertices; the places lie on edges of the lips' border."""
+    share: NDArray[np.float64]
+    """(k,) how far along."""
+    targets: NDArray[np.float64]
+    """(f, k, 2) x, y metres, canonical; a frame with NaN is not held."""
+    weight: float = 1.0
+    """Of a squared distance, beside strains: the collar's stiffness against a shift of the mouth is about five."""
 
 
 class _Patch:
@@ -168,7 +190,20 @@ class _Patch:
         laplacian = _laplacian(self.local, self.cotangents, len(used))
         inner = slice(0, len(self.free))
         self.border = sparse.csr_array(laplacian[inner, len(self.free) :])
-        self.factor = Factor(laplacian[inner, inner])
+        self._matrix, self._number = laplacian[inner, inner], number
+        self.factor = Factor(self._matrix)
+        self._held: tuple | None = None
+
+    def held(self, border: HeldBorder) -> tuple[sparse.csr_array, Factor]:
+        """Rows (k, free) that take the places off the free vertices, and the factor of the Laplacian with these held."""
+        if self._held is None or self._held[0] != (border.weight, border.edges.tobytes(), border.share.tobytes()):
+            rows = np.repeat(np.arange(len(border.share)), 2)
+            columns = self._number[border.edges].ravel()
+            values = np.stack([1 - border.share, border.share], axis=1).ravel()
+            matrix = sparse.csr_array((values, (rows, columns)), shape=(len(border.share), len(self.free)))
+            factor = Factor(sparse.csr_array(self._matrix + border.weight * (matrix.T @ matrix)))
+            self._held = (border.weight, border.edges.tobytes(), border.share.tobytes()), matrix, factor
+        return self._held[1:]
 
 
 def canonical_truth(truth_neutral: NDArray, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray[np.float64], float]:

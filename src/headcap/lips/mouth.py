@@ -99,7 +99,9 @@ def find_mouth(
     along = np.clip((reach - away[triangles[layer]].mean(axis=1)) / max(fade, 1e-12), 0, 1)
     middle = vertices[lips].mean(axis=0)
     steady = (vertices[:, 1] > middle[1] + _STEADY_ABOVE_M) & (away > _STEADY_AWAY_M) & np.isfinite(away)
-    steady &= ~_union(regions, ("neck", "mouth_interior", "eyes"), len(vertices))
+    # what a camera in front sees of a head; the rest a base tracker extrapolates
+    steady &= regions["face"] if "face" in regions else ~_union(regions, ("neck", "mouth_interior"), len(vertices))
+    steady &= ~_union(regions, ("eyes",), len(vertices))
     if steady.sum() < 30 or len(patch) in (0, len(triangles)):
         raise InputError(
             f"{steady.sum()} vertices that hold still and {len(patch)} triangles about the mouth",
