@@ -44,7 +44,9 @@ class MeshContours:
         The mouth's opening lies between the lowest of the upper lip and the highest of the lower lip in the picture, across the
         line between the corners; where they overlap the lip in front hides the other and the opening is its rim.
         """
-        pixels, depth = camera.project(mesh)
+        used = np.unique(np.concatenate([self.outline, self.upper.ravel(), self.lower.ravel()]))
+        pixels, depth = np.zeros((len(mesh), 2)), np.zeros(len(mesh))
+        pixels[used], depth[used] = camera.project(mesh[used])
         right, left = pixels[self.corners]
         along = (left - right) / np.linalg.norm(left - right)
         # down in the picture for a head that is upright in it

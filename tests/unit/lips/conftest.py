@@ -61,7 +61,7 @@ class Stage:
         weights = gaussian_filter1d(weights, SMOOTHING_FRAMES, axis=0)
         return neutral + np.tensordot(weights, self.shapes, 1)
 
-    def rehearse(self, seed, kinds, frames=50):
+    def rehearse(self, seed, kinds, frames=40):
         """Takes of a person as `Tracked`."""
         subject, rng = mesh_subject(seed), np.random.default_rng(seed)
         neutral = subject.neutral_m
