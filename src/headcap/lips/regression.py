@@ -41,7 +41,7 @@ class RegressionSettings(BaseModel):
     components: int = Field(150, ge=1, description="Principal components of the corrections that right-hand sides are reduced to")
     reduced: bool = Field(
         True,
-        description="Whether weights stay in these components: half the memory, a fifth of the time; else each number has its own",
+        description="Whether weights stay in these components: half the memory, a fifth of the time; else each number has one",
     )
     seed: int = Field(0, ge=0, description="Of the range finder for the components")
 
