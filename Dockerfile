@@ -3,7 +3,7 @@ FROM python:3.11-slim-bookworm
 
 WORKDIR /headcap
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends ca-certificates git libegl1 libgl1 libusb-1.0-0 make \
+    && apt-get install -y --no-install-recommends ca-certificates git libegl1 libgl1 libgomp1 libusb-1.0-0 make \
     && rm -rf /var/lib/apt/lists/*
 
 COPY requirements.lock pyproject.toml README.md LICENSE Makefile ./

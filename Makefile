@@ -18,8 +18,9 @@ $(STAMP): requirements.lock pyproject.toml .ci/setup
 demo: $(STAMP)
 	@$(BIN)/headcap run config/demo.yaml
 
+# files side by side on two processes: a file's fixtures are made once
 test: $(STAMP)
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n 2 --dist loadfile
 
 lint: $(STAMP)
 	@$(BIN)/ruff format --check .

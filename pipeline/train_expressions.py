@@ -4,31 +4,29 @@ import logging
 from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
-from headcap.heads import procedural_model
+from headcap.heads import HeadModel
 from headcap.neck.subjects import SubjectFiles
 from headcap.neck.training.pose_expression import PoseExpressionSettings, train_pose_expression
 
 PROGRESS = logging.getLogger("headcap.progress")
 
 
-def run(*, files: list[Path], base: Path, head: Path, people: list[SubjectFiles], settings: PoseExpressionSettings) -> None:
-    model = procedural_model()
-    model.save(base)
+def run(*, base: Path, files: list[Path], head: Path, people: list[SubjectFiles], settings: PoseExpressionSettings) -> None:
+    model = HeadModel.load(base)
     subjects = [person.load(model).training_subject() for person in people]
     if any(subject.trains for subject in subjects):
         model = train_pose_expression(model, subjects, settings, progress=_tell)
     else:
         _tell("no pose and no expression takes: pose correctives and expressions stay generic")
     model.save(head)
-    for artifact in (base, head):
-        write_manifest(
-            artifact,
-            kind="head_model",
-            stage="train_expressions",
-            settings_digest=digest_settings(settings=settings),
-            inputs=files,
-            figures={},
-        )
+    write_manifest(
+        head,
+        kind="head_model",
+        stage="train_expressions",
+        settings_digest=digest_settings(settings=settings),
+        inputs=[base, *files],
+        figures={},
+    )
 
 
 def _tell(message: str) -> None:

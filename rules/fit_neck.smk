@@ -1,7 +1,7 @@
 """
 What the study's neck model says of each person's takes, whether it was trained on them or not.
 
-INPUTS:   base, model  = results/{study}/train_expressions/base.npz, results/{study}/train_neck/model.npz
+INPUTS:   base, model  = results/{study}/head_model/base.npz, results/{study}/train_neck/model.npz
           files        = the person's neutral head and tracked takes
 OUTPUTS:  fits         = results/{study}/fit_neck/{person}/fits.npz, coefficients and errors of every frame
           fitted_model = results/{study}/fit_neck/{person}/model.npz, the model with this person's larynx
@@ -12,7 +12,7 @@ OUTPUTS:  fits         = results/{study}/fit_neck/{person}/fits.npz, coefficient
 rule fit_neck:
     """A person's coefficients of the neck model."""
     input:
-        base="results/{study}/train_expressions/base.npz",
+        base="results/{study}/head_model/base.npz",
         model="results/{study}/train_neck/model.npz",
         files=person_inputs,
     output:

@@ -1,18 +1,18 @@
 """
 How skin follows head and jaw, and what faces do: pose correctives and expressions, learnt from the people who train.
 
-INPUTS:   files = neutral heads and tracked takes of kinds pose and expression
-OUTPUTS:  base  = results/{study}/train_expressions/base.npz, the head model before
-          head  = results/{study}/train_expressions/head.npz, and after
+INPUTS:   base  = results/{study}/head_model/base.npz
+          files = neutral heads and tracked takes of kinds pose and expression
+OUTPUTS:  head  = results/{study}/train_expressions/head.npz
 """
 
 
 rule train_expressions:
     """Pose correctives and expression basis of the study's head model."""
     input:
+        base="results/{study}/head_model/base.npz",
         files=training_inputs("pose", "expression"),
     output:
-        base="results/{study}/train_expressions/base.npz",
         head="results/{study}/train_expressions/head.npz",
     log:
         "results/{study}/logs/train_expressions.log",

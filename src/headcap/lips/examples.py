@@ -1,0 +1,111 @@
+"""Takes of a person as a lip regressor sees them: the base track in its canonical frame, features, corrections where truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.cameras import Camera
+from headcap.errors import InputError
+from headcap.heads import HeadCoefficients, HeadModel
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, Identity, canonical_meshes
+from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, lip_features
+from headcap.lips.monocular import MonocularTrack
+from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
+
+_RESTING_SHARE = 0.2
+"""Frames of least expression that tell what a person's mouth is like at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class MouthSpace:
+    """What all people of a study share: the head model's mouth and where features are taken on it."""
+
+    model: HeadModel
+    mouth: Mouth
+    settings: MouthSettings
+    features: FeatureSpace
+
+    @classmethod
+    def of(cls, model: HeadModel, settings: MouthSettings | None = None) -> MouthSpace:
+        """Of a head model; raises `InputError` for models without lips or corners of the eyes."""
+        settings = settings or MouthSettings()
+        mouth = find_mouth(np.asarray(model.vertices, float), model.triangles, model.regions, settings)
+        return cls(model, mouth, settings, FeatureSpace.of(model, mouth))
+
+
+@dataclass(frozen=True, eq=False)
+class LipExample:
+    """One take of f frames of one person."""
+
+    space: MouthSpace
+    base: CanonicalMeshes
+    """What the base tracker makes of it; NaN where it lost the face."""
+    neutral: NDArray[np.float64]
+    """C_0 (n, 3): the person at rest as the base tracker believes, canonical."""
+    camera: Camera
+    contours: tuple[LipContours | None, ...]
+    compensate_rotation: bool = True
+
+    @classmethod
+    def of(
+        cls,
+        space: MouthSpace,
+        track: MonocularTrack,
+        camera: Camera,
+        contours: Sequence[LipContours | None],
+        *,
+        compensate_rotation: bool = True,
+    ) -> LipExample:
+        """Of a base track; C_0 is the tracked identity at rest, which the paper has in the first frame (section 4.2).
+
+        Raises `InputError` for a track of another head model or another number of contours.
+        """
+        neutral = np.asarray(space.model.evaluate(HeadCoefficients(track.shape)), np.float64)
+        meshes = np.array(list(track.meshes(space.model)), np.float64).reshape(len(track), *neutral.shape)
+        if len(contours) != len(track):
+            raise InputError(f"contours of {len(contours)} frames", expected=f"{len(track)}", remedy="Find them in this clip.")
+        base = canonical_meshes(meshes, neutral, space.mouth.steady)
+        return cls(space, base, neutral, camera, tuple(contours), compensate_rotation)
+
+    def __len__(self) -> int:
+        return len(self.base.meshes)
+
+    @cached_property
+    def features(self) -> LipFeatures:
+        """f (f, m) of section 5.1, absolute."""
+        return lip_features(
+            self.space.features,
+            self.base,
+            self.neutral,
+            self.camera,
+            self.contours,
+            compensate_rotation=self.compensate_rotation,
+        )
+
+    def layer(self, identity: Identity) -> CorrectionLayer:
+        """The correction layer on this take's neutral."""
+        return CorrectionLayer(self.space.mouth, self.neutral, identity)
+
+    def parameters(self, identity: Identity, truth_neutral: NDArray, truth: NDArray) -> NDArray[np.float32]:
+        """l_f of eq. 1 (f, T, 9) against true meshes (f, n, 3) with their neutral (n, 3)."""
+        return self.layer(identity).parameters(self.base.meshes, truth_neutral, truth)
+
+
+def resting_distances(examples: Sequence[LipExample]) -> NDArray[np.float64]:
+    """(20,) contour distances of a person at rest: the median over those frames of their takes that show least expression.
+
+    The paper's distances are absolute; see `LipFeatures.anchored`. NaN where no frame has contours.
+    """
+    shape = np.concatenate([example.features.shape for example in examples])
+    distances = np.concatenate([example.features.distances for example in examples])
+    told = np.isfinite(shape).all(axis=1) & np.isfinite(distances).all(axis=1)
+    if not told.any():
+        return np.full(distances.shape[1], np.nan)
+    size = np.linalg.norm(shape[told], axis=1)
+    quiet = size <= np.quantile(size, _RESTING_SHARE)
+    return np.median(distances[told][quiet], axis=0)
