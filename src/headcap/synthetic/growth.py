@@ -25,7 +25,7 @@ from headcap.synthetic.texture import EYE, MOUTH, SKIN, TOOTH, Grain, make_grain
 
 _FOLD = (0.95, 0.86)
 """The lids' edge is folded in to these shares of its distance from the eye's centre, which closes the gap to the eyeball."""
-_LEAST_OPENNESS, _LEAST_TOOTH_OPENNESS = 0.15, 0.6
+LEAST_OPENNESS, LEAST_TOOTH_OPENNESS = 0.15, 0.6
 _LIP_ZONE_M = 0.08
 
 
@@ -158,8 +158,8 @@ def _lit(subject: Subject) -> Subject:
     rest = subject.vertices(AT_REST)
     normals = vertex_normals(rest, subject.surface.triangles)
     # what is shut away at rest, the mouth and the eyeballs' backs, sees something of the room once it opens
-    least = np.full(len(rest), _LEAST_OPENNESS)
-    least[subject.surface.triangles[subject.surface.material == TOOTH]] = _LEAST_TOOTH_OPENNESS
+    least = np.full(len(rest), LEAST_OPENNESS)
+    least[subject.surface.triangles[subject.surface.material == TOOTH]] = LEAST_TOOTH_OPENNESS
     return replace(subject, openness=np.maximum(openness(rest, normals, subject.occluder), least))
 
 

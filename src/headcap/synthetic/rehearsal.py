@@ -15,20 +15,19 @@ from numpy.typing import NDArray
 from headcap.artifacts import atomic_path
 from headcap.cameras import Rig
 from headcap.heads.procedural import base_head
-from headcap.meshes.normals import vertex_normals
 from headcap.synthetic import truth
 from headcap.synthetic.board import BoardMotion, BoardPainter, wave_board
 from headcap.synthetic.crew import Piece, carry_out
 from headcap.synthetic.growth import grow_subject
-from headcap.synthetic.lighting import Lights, illuminate
+from headcap.synthetic.lighting import Lights
 from headcap.synthetic.performance import Performance, perform
 from headcap.synthetic.recording import write_recording
-from headcap.synthetic.render import render_surface
 from headcap.synthetic.rig import MOTION_STREAM, Clock, build_clocks, build_rig, random_stream
 from headcap.synthetic.scan import write_scan
 from headcap.synthetic.sensor import build_sensors
 from headcap.synthetic.settings import RehearsalSettings
 from headcap.synthetic.sound import record, take_sources
+from headcap.synthetic.studio import Sitter, Studio
 from headcap.synthetic.subject import Subject
 
 CALIBRATION, DESCRIPTION = "calibration", "rehearsal.json"
@@ -184,21 +183,9 @@ def write_description(settings: RehearsalSettings, folder: Path | str) -> None:
 def _exposed(
     frames: Iterator[tuple[int, NDArray]], rehearsal: Rehearsal, recording: int, camera: int
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    sensor = build_sensors(rehearsal.settings, len(rehearsal.rig))[camera]
+    sensor = build_sensors(rehearsal.settings.sensor, rehearsal.settings.seed, len(rehearsal.rig))[camera]
     for slot, linear in frames:
         yield slot, sensor.expose(linear, recording, camera, slot)
-
-
-def _bands(settings: RehearsalSettings) -> list[tuple[tuple[int, int], float]]:
-    """Bands of rows and how long after the frame's time they are read out; one band for a global shutter."""
-    sensor, height = settings.sensor, settings.video.height
-    if sensor.rolling_shutter_s == 0:
-        return [((0, height), 0.0)]
-    edges = np.linspace(0, height, sensor.rolling_shutter_bands + 1).astype(int)
-    middle = 0.5 * (edges[:-1] + edges[1:]) / height
-    return [
-        ((int(a), int(b)), float(m) * sensor.rolling_shutter_s) for a, b, m in zip(edges[:-1], edges[1:], middle, strict=True)
-    ]
 
 
 def _frame_times(rehearsal: Rehearsal, recording: str, camera: int) -> Iterator[tuple[int, float]]:
@@ -207,37 +194,31 @@ def _frame_times(rehearsal: Rehearsal, recording: str, camera: int) -> Iterator[
         yield slot, float(clock.common_time(slot / rehearsal.settings.video.rate_hz))
 
 
-def _background(settings: RehearsalSettings) -> NDArray[np.float32]:
-    """The room, out of focus: linear RGB (height, width, 3), a little brighter towards the floor."""
-    height, width = settings.video.height, settings.video.width
-    down = np.linspace(0.9, 1.1, height, dtype=np.float32)[:, None, None]
-    return settings.sensor.background * down * np.ones((1, width, 3), np.float32)
+def _studio(settings: RehearsalSettings) -> Studio:
+    lights = Lights.from_settings(settings.lights, settings.ambient, settings.gloss)
+    return Studio.of((settings.video.width, settings.video.height), settings.sensor, lights)
 
 
 def _board_frames(rehearsal: Rehearsal, c: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
     settings = rehearsal.settings
     waved: BoardMotion = wave_board(settings, rehearsal.rig)
-    painter, background = BoardPainter(rehearsal.rig[c], settings.board), _background(settings)
-    light = Lights.from_settings(settings.lights, settings.ambient, settings.gloss).directions[:1].sum(0)
+    painter, studio = BoardPainter(rehearsal.rig[c], settings.board), _studio(settings)
+    light = studio.lights.directions[:1].sum(0)
     for slot, time in _frame_times(rehearsal, CALIBRATION, c):
         parts = [
-            painter.paint(waved.world_from_board(time + later), background[a:b], light, (a, b))
-            for (a, b), later in _bands(settings)
+            painter.paint(waved.world_from_board(time + later), studio.background[a:b], light, (a, b))
+            for (a, b), later in studio.bands
         ]
         yield slot, np.concatenate(parts)
 
 
 def _take_frames(rehearsal: Rehearsal, take: str, c: int) -> Iterator[tuple[int, NDArray[np.float32]]]:
-    settings, camera = rehearsal.settings, rehearsal.rig[c]
-    subject, performance, background = subject_of(settings), performance_of(settings, take), _background(settings)
-    lights = Lights.from_settings(settings.lights, settings.ambient, settings.gloss)
-    kind = next(t.kind for t in settings.takes if t.name == take)
-    surface = subject.lips_surface if kind == "lips" else subject.surface
+    settings, subject = rehearsal.settings, subject_of(rehearsal.settings)
+    performance, studio = performance_of(settings, take), _studio(settings)
+    tattooed = next(t for t in settings.takes if t.name == take).lips_tattooed
+    surface = subject.lips_surface if tattooed else subject.surface
+    sitter = Sitter(
+        lambda time: (subject.vertices(performance.state(time)), surface), subject.openness, subject.occluder, subject.grain
+    )
     for slot, time in _frame_times(rehearsal, take, c):
-        parts = []
-        for (a, b), later in _bands(settings):
-            vertices = subject.vertices(performance.state(time + later))
-            normals = vertex_normals(vertices, surface.triangles)
-            light = illuminate(lights, vertices, normals, subject.openness, subject.occluder, camera.centre)
-            parts.append(render_surface(camera, vertices, surface, light, subject.grain, background[a:b], (a, b)))
-        yield slot, np.concatenate(parts)
+        yield slot, studio.photograph(rehearsal.rig[c], sitter, time)

@@ -37,7 +37,7 @@ def build_rig(settings: RehearsalSettings) -> Rig:
     """The cameras of a rehearsal."""
     described = settings.cameras
     if described is not None:
-        return Rig(tuple(_camera(camera, settings.video, np.zeros(3)) for camera in described))
+        return Rig(tuple(build_camera(camera, settings.video) for camera in described))
     random = random_stream(settings.seed, RIG_STREAM)
     return Rig(tuple(_arc_camera(settings.arc, settings.video, index, random) for index in range(settings.arc.cameras)))
 
@@ -58,10 +58,11 @@ def _arc_camera(arc: ArcSettings, video: VideoSettings, index: int, random: np.r
         principal_point_offset_px=tuple(random.normal(0, arc.principal_point_sigma_px, 2)),
         distortion=tuple(np.array(arc.distortion) + random.normal(0, 1, 5) * arc.distortion_sigma),
     )
-    return _camera(settings, video, random.normal(0, np.radians(arc.aim_sigma_deg), 3))
+    return build_camera(settings, video, random.normal(0, np.radians(arc.aim_sigma_deg), 3))
 
 
-def _camera(settings: CameraSettings, video: VideoSettings, turn_rad: NDArray) -> Camera:
+def build_camera(settings: CameraSettings, video: VideoSettings, turn_rad: NDArray | float = 0.0) -> Camera:
+    """A described camera, turned by a vector (3,) in its own axes."""
     focal = 0.5 * video.height / np.tan(np.radians(settings.vertical_fov_deg) / 2)
     cx, cy = np.array([video.width - 1, video.height - 1]) / 2 + settings.principal_point_offset_px
     turn = turn_rad + np.array([0, 0, np.radians(settings.roll_deg)])

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from headcap.synthetic.rig import NOISE_STREAM, SENSOR_STREAM, random_stream
-from headcap.synthetic.settings import RehearsalSettings
+from headcap.synthetic.settings import SensorSettings
 
 _TILE = 512
 _LEVELS = 16384
@@ -33,14 +33,13 @@ class Sensor:
         return out
 
 
-def build_sensors(settings: RehearsalSettings, cameras: int) -> tuple[Sensor, ...]:
-    """The rig's sensors."""
-    sensor = settings.sensor
-    random = random_stream(settings.seed, SENSOR_STREAM)
+def build_sensors(sensor: SensorSettings, seed: int, cameras: int) -> tuple[Sensor, ...]:
+    """The sensors of a number of cameras."""
+    random = random_stream(seed, SENSOR_STREAM)
     exposure = np.exp(random.normal(0, sensor.exposure_sigma, (cameras, 1)))
     balance = np.exp(random.normal(0, sensor.white_balance_sigma, (cameras, 3)) * [1, 0, 1])
     gains = (exposure * balance).astype(np.float32)
-    return tuple(Sensor(gain, sensor.read_noise, sensor.shot_noise, settings.seed) for gain in gains)
+    return tuple(Sensor(gain, sensor.read_noise, sensor.shot_noise, seed) for gain in gains)
 
 
 _cache: dict[str, NDArray] = {}

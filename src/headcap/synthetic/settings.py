@@ -123,6 +123,14 @@ class TakeSettings(_Settings):
     kind: TakeKind = Field(description="What the subject does.")
     duration_s: float = Field(default=1.2, gt=0.45, description="Length of each recording.")
     intensity: float = Field(default=1.0, gt=0, description="Strength of the motion.")
+    lip_tattoo: bool | None = Field(
+        default=None, description="Tattoos on and about the lips; without a word takes of lips have them and others do not."
+    )
+
+    @property
+    def lips_tattooed(self) -> bool:
+        """Whether the lips are tattooed in this take."""
+        return self.kind == "lips" if self.lip_tattoo is None else self.lip_tattoo
 
 
 class SubjectSettings(_Settings):
@@ -160,13 +168,32 @@ DEFAULT_LIGHTS = (
 DEFAULT_TAKES = (TakeSettings(name="free_01", kind="free", duration_s=1.0),)
 
 
+FRONT = CameraSettings(name="front", position_m=(0.0, -0.045, 0.775), vertical_fov_deg=33.0)
+
+
+class MeshVideoSettings(_Settings):
+    """One camera that films a subject who is rehearsed as meshes; its frames are the moments of the meshes."""
+
+    width: int = Field(default=360, gt=31, multiple_of=2, description="Pixels.")
+    height: int = Field(default=640, gt=31, multiple_of=2, description="Pixels.")
+    crf: float = Field(default=13.0, ge=0, le=40, description="H.264 quality, lower is better.")
+    camera: CameraSettings = Field(default=FRONT, description="The camera: from the front, as far off as a rig's.")
+    tattoos: bool = Field(default=False, description="Show the tattoos of subject and takes; true meshes need none.")
+    sensor: SensorSettings = SensorSettings()
+    lights: tuple[LightSettings, ...] = Field(default=DEFAULT_LIGHTS, description="The lights.")
+    ambient: float = Field(default=0.28, ge=0, description="Irradiance from all around, dimmed where little sky is seen.")
+    gloss: float = Field(default=0.03, ge=0, description="Shine of the skin: light that changes with the viewpoint.")
+
+
 class MeshRehearsalSettings(_Settings):
-    """A subject that is rehearsed without pictures: mesh sequences as they would be tracked without error, and the voice."""
+    """A subject that is rehearsed without a rig: mesh sequences as they would be tracked without error, the voice, and one
+    camera's view where that is asked for."""
 
     seed: int = Field(ge=0, description="Who it is and what the person does; equal seeds are equal people.")
     rate_hz: float = Field(default=30.0, gt=1, description="Frames per second.")
     takes: tuple[TakeSettings, ...] = Field(min_length=1, description="The takes.")
     subject: SubjectSettings = SubjectSettings()
+    video: MeshVideoSettings | None = Field(default=None, description="Also film each take with one camera.")
 
     @model_validator(mode="after")
     def _names_differ(self) -> MeshRehearsalSettings:

@@ -9,7 +9,7 @@ from headcap.synthetic.settings import ArcSettings, BoardSettings, RehearsalSett
 
 def test_corners_are_found_where_the_truth_projects_them():
     settings = RehearsalSettings(arc=ArcSettings(cameras=8))
-    rig, sensors = build_rig(settings), build_sensors(settings, 8)
+    rig, sensors = build_rig(settings), build_sensors(settings.sensor, settings.seed, 8)
     waved = wave_board(settings, rig)
     detector = cv2.aruco.CharucoDetector(charuco(settings.board))
     errors = []
