@@ -24,7 +24,8 @@ class LipTrainingSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     test_takes: tuple[str, ...] = Field(
-        default=(), description="Takes of these names test regressors of people who train others; only GR for strangers learns them."
+        default=(),
+        description="Takes of these names test regressors of people who train others; only GR for strangers learns them.",
     )
     mouth: MouthSettings = MouthSettings()
     regression: RegressionSettings = RegressionSettings()

@@ -75,9 +75,7 @@ def film_take(
     """Write the video of a take (H.264, with its voice) as the settings' one camera sees it; needs `settings.video`."""
     video = settings.video
     camera = build_camera(video.camera, _encoding(settings))
-    look = look_of(
-        subject, tattoos=video.tattoos and settings.subject.tattoos, lip_tattoo=video.tattoos and take.lips_tattooed
-    )
+    look = look_of(subject, tattoos=video.tattoos and settings.subject.tattoos, lip_tattoo=video.tattoos and take.lips_tattooed)
     studio = Studio.of(camera.size, video.sensor, Lights.from_settings(video.lights, video.ambient, video.gloss))
     sensor = build_sensors(video.sensor, settings.seed, 1)[0]
 

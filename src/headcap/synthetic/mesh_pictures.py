@@ -23,10 +23,16 @@ from headcap.synthetic.parts import Part, teeth
 from headcap.synthetic.render import Surface
 from headcap.synthetic.rig import SUBJECT_STREAM, random_stream
 from headcap.synthetic.subject import AT_REST
-from headcap.synthetic.texture import EYE, MOUTH, SKIN, TOOTH, Grain, make_grain
+from headcap.synthetic.texture import EYE, LOOK_COLUMNS, MOUTH, SKIN, TOOTH, Grain, make_grain
 
-_LOOK_STREAM = 3
+_LOOK_STREAM, _HAIR_STREAM = 3, 4
 """Of `SUBJECT_STREAM`; the subject itself, its scan and the scan's place are drawn from others."""
+TONE = LOOK_COLUMNS.index("tone")
+_HAIR_TONE = -24.0
+"""Skin so dark is hair, as far as a pixel can tell."""
+_BROW_LIFT_M, _BROW_ARCH_M = (0.007, 0.012), (0.001, 0.005)
+"""Of a brow's middle over the upper lid, and of its arc."""
+_BROW_THICKNESS_M, _BROW_DARKNESS = (0.0030, 0.0048), (0.6, 0.95)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +100,30 @@ def _skin_look(person: MeshSubject, *, tattoos: bool, lip_tattoo: bool) -> NDArr
         regions[f"lips_{side}"] = np.maximum(regions[f"lips_{side}"], regions[f"lips_inner_{side}"])
     random = random_stream(person.seed, SUBJECT_STREAM, _LOOK_STREAM)
     look = identity.skin_look(points, regions, places, random, tattoos=tattoos)
+    # a stream of its own: who grows no hair otherwise looks as before
+    look[:, TONE] += _HAIR_TONE * facial_hair(person, random_stream(person.seed, SUBJECT_STREAM, _HAIR_STREAM))
     return identity.tattoo_lips(look, points, regions, places) if lip_tattoo else look
+
+
+def facial_hair(person: MeshSubject, random: np.random.Generator) -> NDArray[np.float64]:
+    """Share (v,) of the skin that brows and lashes cover: by them faces are found, in life and by trackers.
+
+    Brows are arcs over the eyes, of a height, thickness, length and darkness of the person's own; lashes line the upper lids.
+    """
+    points, marks = person.subject.bare_m, base_head().landmarks
+    height, thickness, dark = random.uniform(*_BROW_LIFT_M), random.uniform(*_BROW_THICKNESS_M), random.uniform(*_BROW_DARKNESS)
+    arch, hair, rims = random.uniform(*_BROW_ARCH_M), np.zeros(len(points)), base_head().regions["lid_rims"]
+    facing = vertex_normals(points, base_head().triangles)[:, 2] > 0.1
+    for side in ("left", "right"):
+        inner, outer, top = (points[marks[f"eye_{end}_{side}"]] for end in ("inner", "outer", "top"))
+        along = (points[:, 0] - inner[0]) / (outer[0] - inner[0])
+        middle = top[1] + height + arch * (1 - ((along - 0.62) / 0.75) ** 2)
+        tapered = thickness * np.clip(1.3 - 0.5 * along, 0.3, 1.0)
+        ends = np.clip((along + 0.25) / 0.2, 0, 1) * np.clip((1.25 - along) / 0.2, 0, 1)
+        hair = np.maximum(hair, facing * ends * np.exp(-(((points[:, 1] - middle) / tapered) ** 4)))
+        upper = (along > 0) & (along < 1) & (points[:, 1] > inner[1] + along * (outer[1] - inner[1]))
+        hair = np.maximum(hair, rims & upper)
+    return dark * hair
 
 
 def _parted_eyes(triangles: NDArray, eyes: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.bool_]]:
