@@ -137,7 +137,7 @@ def _parted_eyes(triangles: NDArray, eyes: NDArray[np.bool_]) -> tuple[NDArray[n
 
 
 def _sky(points: NDArray, surface: Surface) -> NDArray[np.float64]:
-    # what is shut away at rest sees something of the room once the mouth opens
+    # what is shut away at rest sees something of the room once the mouth opens; eyes and teeth are wet
     least = np.full(len(points), LEAST_OPENNESS)
-    least[surface.triangles[surface.material == TOOTH]] = LEAST_TOOTH_OPENNESS
+    least[surface.triangles[np.isin(surface.material, (TOOTH, EYE))]] = LEAST_TOOTH_OPENNESS
     return np.maximum(openness(points, vertex_normals(points, surface.triangles), surface.triangles), least)
