@@ -167,21 +167,6 @@ def compensate(
     return Compensation(out, theta, psi, placement, int((~done).sum()))
 
 
-def fitting_error_mm(
-    model: HeadModel,
-    meshes: NDArray,
-    region: NDArray[np.bool_],
-    settings: FitSettings | None = None,
-    seen: NDArray[np.bool_] | None = None,
-) -> NDArray[np.float64]:
-    """Mean 3D vertex error over a region (n,) of each frame (f,), millimetres, after fitting (section 7.1); NaN where skipped."""
-    out = np.full(len(meshes), np.nan)
-    for block in SequenceFitter(model, settings, seen).blocks(meshes):
-        away = model.evaluate(block.coefficients)[:, region] - np.asarray(meshes[block.frames])[:, region]
-        out[block.frames] = 1e3 * np.linalg.norm(away, axis=-1).mean(axis=-1)
-    return out
-
-
 def without_expressions(model: HeadModel) -> HeadModel:
     """The model with no expression basis: pose takes show none (section 5.1)."""
     return replace(model, expression_basis=model.expression_basis[:0], expression_names=())
