@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 import numpy as np
 from PIL import Image as PillowImage
 
@@ -17,42 +15,26 @@ from headcap.evaluation.metrics import Figure
 from headcap.report import figures as diagrams
 from headcap.report import pictures
 from headcap.report.inputs import CalibrationReport, RegisterReport, ReportInputs, TakeReport
-from headcap.report.overlays import jpeg_uri, png_uri
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """A picture of the page."""
-
-    uri: str
-    caption: str
-    wide: bool = False
+from headcap.report.page import Shown, drawing, number, photograph, write_page
 
 
 def write_report(inputs: ReportInputs, path: Path | str) -> None:
     """Write the report of a session as one HTML file."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("headcap.report", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["value"] = _value
     rows = _rows(inputs)
-    page = environment.get_template("template.html.j2").render(
-        inputs=inputs,
+    write_page(
+        path,
+        "template.html.j2",
+        inputs,
         rows=rows,
         gates=_gates(rows),
         footnote=_footnote(inputs, rows),
-        verdict=_verdict(inputs),
         expectations=_expectations(inputs.figures),
         summary=_summary(inputs),
         calibration=_calibration(inputs.calibration, inputs) if inputs.calibration else None,
         register=_register(inputs.register, inputs) if inputs.register else None,
         takes=[(take, _sync(take, inputs), *_take(take, inputs)) for take in inputs.takes],
         neck=_neck(inputs),
-        legend=pictures.error_legend_colours(),
-        settings=json.dumps(inputs.settings, indent=2, sort_keys=True, default=str),
     )
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
 
 
 def write_summary(inputs: ReportInputs, path: Path | str) -> None:
@@ -159,20 +141,6 @@ def _badness(row: _Row) -> float:
     return row.figure.limit - row.figure.value if row.figure.at_least else row.figure.value - row.figure.limit
 
 
-def _verdict(inputs: ReportInputs) -> tuple[int, int]:
-    """(figures within their limits, figures past them)."""
-    held = [figure.ok for figure in inputs.figures if figure.ok is not None]
-    return held.count(True), held.count(False)
-
-
-def _value(number: float | None) -> str:
-    if number is None:
-        return "not measured"
-    if abs(number) >= 1000 or number == round(number):
-        return f"{number:,.0f}"
-    return f"{number:.3g}"
-
-
 _EXPECTED = (
     ("reconstruct.error_median_mm", "half of the reconstructed points lie within {} mm of the skin"),
     ("reconstruct.completeness_1mm", "{} % of the skin that three cameras see has a point within 1 mm"),
@@ -191,52 +159,52 @@ def _expectations(figures: tuple[Figure, ...]) -> list[str]:
     for name, sentence in _EXPECTED:
         values = [figure.value for figure in figures if figure.name == name and figure.value is not None]
         if values:
-            sentences.append(sentence.format(_value(min(values) if CATALOGUE[name].at_least else max(values))))
+            sentences.append(sentence.format(number(min(values) if CATALOGUE[name].at_least else max(values))))
     return sentences
 
 
-def _summary(inputs: ReportInputs) -> list[_Shown]:
+def _summary(inputs: ReportInputs) -> list[Shown]:
     views = _liveliest(inputs)[:1]
     if not views:
         return []
     panels = pictures.frame_panels(views[0], inputs.register.template.triangles)
-    return [_Shown(jpeg_uri(panel.image), panel.caption) for panel in panels]
+    return [photograph(panel) for panel in panels]
 
 
-def _sync(take: TakeReport, inputs: ReportInputs) -> list[_Shown]:
+def _sync(take: TakeReport, inputs: ReportInputs) -> list[Shown]:
     image = diagrams.offsets_diagram(take.offsets, take.true_start_s, inputs.rate_hz)
-    shown = [_Shown(png_uri(image), f"start times of {take.take}", wide=True)]
+    shown = [drawing(image, f"start times of {take.take}")]
     if take.sync_figure is not None:
         caption = "the clap in every camera's sound, and by how much each pair of cameras disagrees with the start times"
-        shown.append(_Shown(png_uri(take.sync_figure, 256), caption, wide=True))
+        shown.append(drawing(take.sync_figure, caption, 256))
     return shown
 
 
-def _calibration(calibration: CalibrationReport, inputs: ReportInputs) -> list[_Shown]:
+def _calibration(calibration: CalibrationReport, inputs: ReportInputs) -> list[Shown]:
     clouds = [view.cloud for take in inputs.takes for view in take.views if view.cloud is not None]
     limit = next((figure.limit for figure in inputs.figures if figure.name == "calibrate.heldout_rms_px"), None)
     rig = diagrams.rig_diagram(calibration.result.rig, clouds[0].positions if clouds else None)
     shown = [
-        _Shown(png_uri(rig), "the cameras about the subject", wide=True),
-        _Shown(png_uri(diagrams.heldout_diagram(calibration.result, limit)), "held-out error by camera", wide=True),
+        drawing(rig, "the cameras about the subject"),
+        drawing(diagrams.heldout_diagram(calibration.result, limit), "held-out error by camera"),
     ]
     if calibration.detections:
         image = diagrams.coverage_diagram(calibration.detections)
-        shown.append(_Shown(png_uri(image), "where in each image the board was seen", wide=True))
+        shown.append(drawing(image, "where in each image the board was seen"))
     boards = [pictures.board_overlay(picture) for picture in calibration.pictures]
-    return shown + [_Shown(jpeg_uri(board.image), board.caption) for board in boards]
+    return shown + [photograph(board) for board in boards]
 
 
-def _register(register: RegisterReport, inputs: ReportInputs) -> list[_Shown]:
+def _register(register: RegisterReport, inputs: ReportInputs) -> list[Shown]:
     panels = pictures.register_pictures(register)
-    shown = [_Shown(jpeg_uri(panel.image), panel.caption) for panel in panels]
+    shown = [photograph(panel) for panel in panels]
     if register.error_mm is not None:
         image = diagrams.error_histogram(register.error_mm, _limits(inputs, "register"), title="Template to scan")
-        shown.append(_Shown(png_uri(image), "template vertices to the scan's surface", wide=True))
+        shown.append(drawing(image, "template vertices to the scan's surface"))
     return shown
 
 
-def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], list[_Shown]]:
+def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[Shown]], list[Shown]]:
     """Rows of frame pictures, and the diagrams over time."""
     rows, over_time = [], []
     template = inputs.register.template if inputs.register else None
@@ -244,27 +212,25 @@ def _take(take: TakeReport, inputs: ReportInputs) -> tuple[list[list[_Shown]], l
         panels = pictures.frame_panels(view, template.triangles)
         close_up = pictures.mouth_close_up(view, template)
         name = f"frame {view.frame}, {view.camera.name}: "
-        rows.append([_Shown(jpeg_uri(p.image), name + p.caption if i == 0 else p.caption) for i, p in enumerate(panels)])
+        rows.append([photograph(panel, name + panel.caption if i == 0 else None) for i, panel in enumerate(panels)])
         if close_up is not None:
-            rows[-1].append(_Shown(jpeg_uri(close_up.image), close_up.caption, wide=True))
+            rows[-1].append(photograph(close_up, wide=True))
     if take.errors is not None and template is not None:
         caption = "against truth, frame by frame; dashed: limits of the take's median and 95th percentile"
-        over_time.append(_Shown(png_uri(diagrams.error_curves(take.errors, _limits(inputs, "track"))), caption, wide=True))
+        over_time.append(drawing(diagrams.error_curves(take.errors, _limits(inputs, "track")), caption))
         maps = pictures.error_over_time(take.errors, take.neutral, template.triangles)
-        over_time += [_Shown(jpeg_uri(panel.image), panel.caption) for panel in maps]
+        over_time += [photograph(panel) for panel in maps]
     if take.gaps is not None:
-        over_time.append(_Shown(png_uri(diagrams.gap_curves(take.gaps)), "without truth: points against the mesh", wide=True))
+        over_time.append(drawing(diagrams.gap_curves(take.gaps), "without truth: points against the mesh"))
     if take.residuals is not None:
         caption = "without truth: what the tracker was left with in each frame"
-        over_time.append(_Shown(png_uri(diagrams.residual_curves(take.residuals)), caption, wide=True))
+        over_time.append(drawing(diagrams.residual_curves(take.residuals), caption))
     return rows, over_time
 
 
-def _neck(inputs: ReportInputs) -> list[_Shown]:
+def _neck(inputs: ReportInputs) -> list[Shown]:
     captions = ("coefficients and errors over the takes", "coefficients fitted, and predicted from sound left out of training")
-    return [
-        _Shown(png_uri(image, 256), caption, wide=True) for image, caption in zip(inputs.neck_pictures, captions, strict=False)
-    ]
+    return [drawing(image, caption, 256) for image, caption in zip(inputs.neck_pictures, captions, strict=False)]
 
 
 def _limits(inputs: ReportInputs, stage: str) -> dict[str, float | None]:

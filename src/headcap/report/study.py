@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
-
-from headcap.artifacts import atomic_path
 from headcap.errors import InputError
 from headcap.evaluation.neck_study import PAPER_ERROR_DROPS, PAPER_REGRESSORS, RegressorRow
 from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.animation.swallowing import swallow
 from headcap.neck.fits import NeckFits, TakeFit
 from headcap.report import study_figures as diagrams
-from headcap.report.overlays import jpeg_uri, png_uri
-from headcap.report.pictures import error_legend_colours
+from headcap.report.overlays import jpeg_uri
+from headcap.report.page import Shown, drawing, write_page
 from headcap.report.study_inputs import Animation, StudyInputs
 from headcap.report.study_pictures import (
     DIFFERENCE_TOP_MM,
@@ -34,14 +30,6 @@ _DRIVEN = {
     "generic": "Figure 12: a generic voice drives the neck of a person whom it was not learnt from",
     "face": "Figure 13: a face's pose and expression drive its neck",
 }
-
-
-@dataclass(frozen=True)
-class _Shown:
-    """A picture of the page."""
-
-    uri: str
-    caption: str
 
 
 @dataclass(frozen=True)
@@ -62,31 +50,24 @@ class _Strip:
 def write_study_report(inputs: StudyInputs, path: Path | str) -> None:
     """Write the page as one HTML file; raises `InputError` where the fits are not those of the study's rows."""
     _check(inputs)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("headcap.report", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
     study = inputs.study
-    held = [figure.ok for figure in inputs.figures if figure.ok is not None]
-    page = environment.get_template("study.html.j2").render(
-        inputs=inputs,
+    write_page(
+        path,
+        "study.html.j2",
+        inputs,
         study=study,
         groups=dict(inputs.groups),
         trained=sum(not row.held_out for row in study.drops),
         held_out=sum(row.held_out for row in study.drops),
-        verdict=(held.count(True), held.count(False)),
         past=[figure for figure in inputs.figures if figure.ok is False],
         subjects=[(row, _takes(fits)) for row, fits in zip(study.drops, inputs.fits, strict=True)],
         drops=sorted(study.drops, key=lambda row: not row.held_out) + list(PAPER_ERROR_DROPS),
-        drops_picture=_drawn(diagrams.error_drops_diagram(study), "error drops of held-out subjects, and the paper's in grey"),
+        drops_picture=drawing(diagrams.error_drops_diagram(study), "error drops of held-out subjects, and the paper's in grey"),
         regressors=_regressors(study.regressors),
         curves=_curves(inputs),
         strips=_strips(inputs),
-        legend=error_legend_colours(),
         difference_top=f"{DIFFERENCE_TOP_MM:g}",
-        settings=json.dumps(dict(inputs.settings), indent=2, sort_keys=True, default=str),
     )
-    with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
 
 
 def _check(inputs: StudyInputs) -> None:
@@ -115,7 +96,7 @@ def _regressors(rows: tuple[RegressorRow, ...]) -> list[tuple[RegressorRow, bool
     return told + [(row, True, True) for row in PAPER_REGRESSORS]
 
 
-def _curves(inputs: StudyInputs) -> list[_Shown]:
+def _curves(inputs: StudyInputs) -> list[Shown]:
     """Figures 7 to 9, of people held out where there are any."""
     people = [fits for fits in inputs.fits if fits.held_out] or list(inputs.fits)
     speech = [(fits, take) for fits in people for take in fits.of_kind("speech")]
@@ -123,15 +104,15 @@ def _curves(inputs: StudyInputs) -> list[_Shown]:
     if speech:
         first = list({fits.person: (f"{fits.person}, {take.take}", take) for fits, take in reversed(speech)}.values())[::-1]
         image = diagrams.fitting_errors(first[:MOST_ERROR_CURVES])
-        shown.append(_drawn(image, "Figure 7: mean 3D error over the neck, frame by frame"))
+        shown.append(drawing(image, "Figure 7: mean 3D error over the neck, frame by frame"))
         title, take = first[0]
-        shown.append(_drawn(diagrams.speech_weights(title, take), _weights_caption(take)))
+        shown.append(drawing(diagrams.speech_weights(title, take), _weights_caption(take)))
     parts = _slides(inputs, people)
     if parts:
         caption = (
             "Figure 9: slide and scale of the larynx. Higher, it lies deeper; a head thrown back may show more of it all the same"
         )
-        shown.append(_drawn(diagrams.slide_and_scale_curves(parts), caption))
+        shown.append(drawing(diagrams.slide_and_scale_curves(parts), caption))
     return shown
 
 
@@ -179,7 +160,3 @@ def _animated(inputs: StudyInputs, animation: Animation) -> _Strip:
 
 def _columns(columns: list[KeyFrame]) -> tuple[_Column, ...]:
     return tuple(_Column(jpeg_uri(column.image), column.told) for column in columns)
-
-
-def _drawn(image, caption: str) -> _Shown:
-    return _Shown(png_uri(image), caption)
