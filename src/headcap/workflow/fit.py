@@ -1,4 +1,4 @@
-"""`headcap fit`: files in, files out, around `headcap.neck.fitting` and `headcap.neck.landmark_fitting`."""
+"""`headcap fit`: files in, files out, around `headcap.neck.fitting` and `headcap.neck.landmarks`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from headcap.artifacts import digest_settings, load_json, write_manifest
 from headcap.calibration.result import KIND, SCHEMA
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
-from headcap.heads import HeadModel
 from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.fitting.compensation import check_topology
 from headcap.neck.fitting.sequence import COEFFICIENTS, ORDER, SequenceFitSettings, fit_sequence
@@ -92,7 +91,7 @@ def _of_meshes(request: FitRequest, model: NeckModel, person: NeckPerson) -> tup
 
 
 def _of_landmarks(request: FitRequest, model: NeckModel, person: NeckPerson) -> tuple[CoefficientCurves, list[str], dict]:
-    head = _neutral(model, person)
+    head = model.head.personal(person.neutral)
     landmarks = load_landmarks(request.landmarks, head, _camera(request))
     settings = LandmarkSettings(trunk="still" if request.still_trunk else "moving")
     found = fit_landmarks(head, landmarks, settings)
@@ -108,11 +107,6 @@ def _of_landmarks(request: FitRequest, model: NeckModel, person: NeckPerson) -> 
     if not found.told.all():
         told.append(f"{int((~found.told).sum())} frames show too few landmarks and were bridged")
     return found.curves(model.version, request.person), told, {f"landmarks.distance_{unit}": error}
-
-
-def _neutral(model: NeckModel, person: NeckPerson) -> HeadModel:
-    """The person's head model with their larynx at rest."""
-    return model.head.personal(person.neutral)
 
 
 def _held(request: FitRequest, model: NeckModel, time_s: NDArray) -> dict[str, NDArray]:
