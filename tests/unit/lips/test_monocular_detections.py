@@ -65,6 +65,8 @@ def test_mesh_points_of_both_sizes(tmp_path: Path, rng: np.random.Generator):
         ("a.json", '{"people": []}'),
         ("a.csv", "time,x\n1,2"),
         ("a.csv", ""),
+        ("a.csv", "frame,index,x_px,y_px\n1,0,2.0,far"),
+        ("a.csv", "frame,x_0,x_1,y_0\n1,2,3,4"),
     ],
 )
 def test_other_files_are_refused(tmp_path: Path, name: str, text: str):

@@ -7,7 +7,6 @@ columns are passed over). Integer coordinates are pixel centres, y grows downwar
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import rigid
+from headcap.heads.landmark_table import LandmarkTable, coordinate, landmark_file
 from headcap.lips.monocular.problem import Features
 from headcap.lips.monocular.surface import FaceSurface
 
@@ -37,6 +37,7 @@ _FACE_MESH = {
 SCHEMES = {68: _IBUG, 468: _FACE_MESH, 478: _FACE_MESH}
 """Index of each of our landmarks among a scheme's points."""
 LEAST_LANDMARKS = 6
+_PIXEL = ("x_px", "y_px")
 _EYES = ("eye_outer_right", "eye_outer_left")
 
 
@@ -45,12 +46,11 @@ def load_detections(path: Path | str) -> dict[int, NDArray[np.float64]]:
 
     Raises `InputError` for a file of another ending or form, or another number of points.
     """
-    path = Path(path)
-    readers = {".json": _read_json, ".csv": _read_csv}
-    if path.suffix not in readers:
-        raise InputError(f"{path} of landmarks", expected="a file that ends in .json or .csv", remedy="Convert it.")
+    path = landmark_file(path)
     try:
-        frames = readers[path.suffix](path)
+        frames = _read_json(path) if path.suffix == ".json" else _read_csv(path)
+    except InputError as error:
+        raise InputError(f"{path}: {error.found}", expected=error.expected, remedy=error.remedy) from error
     except (KeyError, TypeError, ValueError, AttributeError, OSError) as error:
         expected = "frames of [x, y] points, as the guide tells them"
         raise InputError(f"{path}: {error}", expected=expected, remedy="Export the detector's output again.") from error
@@ -117,20 +117,23 @@ def _array(points: list) -> NDArray[np.float64]:
 
 
 def _read_csv(path: Path) -> dict[int, NDArray]:
-    with path.open(newline="", encoding="utf-8-sig") as handle:
-        reader = csv.DictReader(handle, skipinitialspace=True)
-        names = [name.strip() for name in reader.fieldnames or ()]
-        reader.fieldnames = names
-        rows = list(reader)
-    if {"frame", "index", "x_px", "y_px"} <= set(names):
-        frames: dict[int, dict[int, list[float]]] = {}
-        for row in rows:
-            frames.setdefault(int(row["frame"]), {})[int(row["index"])] = [float(row["x_px"]), float(row["y_px"])]
+    table = LandmarkTable.read(path)
+    if table.has("frame", "index", "x_px", "y_px"):
+        frames: dict[int, dict[int, tuple[float, float]]] = {}
+        numbers, pixels = (table.column(name, int) for name in ("frame", "index")), [table.column(x, coordinate) for x in _PIXEL]
+        for frame, index, *place in zip(*numbers, *pixels, strict=True):
+            frames.setdefault(frame, {})[index] = tuple(place)
         return {frame: _filled(points) for frame, points in frames.items()}
-    count = sum(name.startswith("x_") and name[2:].isdigit() for name in names)
-    if "frame" not in names or count == 0:
-        raise ValueError(f"columns {', '.join(names) or 'none'}")
-    return {int(row["frame"]): np.array([[float(row[f"x_{k}"]), float(row[f"y_{k}"])] for k in range(count)]) for row in rows}
+    count = sum(name.startswith("x_") and name[2:].isdigit() for name in table.columns)
+    axes = [[f"{axis}_{k}" for k in range(count)] for axis in "xy"]
+    if count == 0 or not table.has("frame", *axes[0], *axes[1]):
+        raise InputError(
+            f"columns {', '.join(table.columns) or 'none'}",
+            expected="frame, index, x_px, y_px, or frame, x_0, ..., y_0, ...",
+            remedy="Name the columns in the first row.",
+        )
+    points = np.array([[table.column(name, coordinate) for name in names] for names in axes])
+    return dict(zip(table.column("frame", int), points.transpose(2, 1, 0), strict=True))
 
 
 def _filled(points: dict[int, list[float]]) -> NDArray[np.float64]:

@@ -13,7 +13,6 @@ no row, or no numbers in it, was not seen.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from headcap.artifacts import ArtifactError, load_json, save_json
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.heads import HeadModel
+from headcap.heads.landmark_table import LandmarkTable, coordinate, landmark_file
 from headcap.neck.landmarks.landmarks import LandmarkPoints, Landmarks
 
 KIND, SCHEMA = "landmarks", 1
@@ -36,9 +36,7 @@ def load_landmarks(path: Path | str, model: HeadModel, camera: Camera | None = N
     Raises `ArtifactError` for a damaged file or another artifact, `InputError` for one of another ending, without landmarks, in
     pixels without a camera, in metres with one, or with landmarks that the model has not.
     """
-    path = Path(path)
-    if path.suffix not in (".json", ".csv"):
-        raise InputError(f"{path} of landmarks", expected="a file that ends in .json or .csv", remedy="Convert it.")
+    path = landmark_file(path)
     try:
         time_s, places, seen = _read_json(path) if path.suffix == ".json" else _read_csv(path)
         if seen.ndim == 3 and seen.shape[2] == 3 and camera is not None:
@@ -78,30 +76,20 @@ def _read_json(path: Path) -> tuple[NDArray, list[dict], NDArray]:
 
 
 def _read_csv(path: Path) -> tuple[NDArray, list[dict], NDArray]:
-    with path.open(newline="", encoding="utf-8-sig") as handle:
-        reader = csv.DictReader(handle)
-        given = tuple(reader.fieldnames or ())
-        sizes = [size for size, columns in _COLUMNS.items() if {"time_s", "landmark", *columns} <= set(given)]
-        if not sizes:
-            raise InputError(
-                f"columns {', '.join(given) or 'none'}",
-                expected="time_s, landmark and x_m, y_m, z_m, or time_s, landmark and x_px, y_px",
-                remedy="Name the columns in the first row.",
-            )
-        try:
-            rows = [(float(r["time_s"]), r["landmark"].strip(), [_number(r[c]) for c in _COLUMNS[sizes[0]]]) for r in reader]
-        except (TypeError, ValueError, AttributeError) as error:
-            raise InputError(f"line {reader.line_num}: {error}", expected="numbers", remedy="Correct the line.") from error
-    names = list(dict.fromkeys(name for _, name, _ in rows))
-    time_s = np.array(sorted({time for time, _, _ in rows}))
-    seen = np.full((len(time_s), len(names), sizes[0]), np.nan)
-    for time, name, place in rows:
-        seen[np.searchsorted(time_s, time), names.index(name)] = place
+    table = LandmarkTable.read(path)
+    axes = next((axes for axes in _COLUMNS.values() if table.has("time_s", "landmark", *axes)), None)
+    if axes is None:
+        raise InputError(
+            f"columns {', '.join(table.columns) or 'none'}",
+            expected="time_s, landmark and x_m, y_m, z_m, or time_s, landmark and x_px, y_px",
+            remedy="Name the columns in the first row.",
+        )
+    times, told = table.column("time_s", float), table.column("landmark", str.strip)
+    places = np.array([table.column(axis, coordinate) for axis in axes]).T
+    names, (time_s, frame) = list(dict.fromkeys(told)), np.unique(times, return_inverse=True)
+    seen = np.full((len(time_s), len(names), len(axes)), np.nan)
+    seen[frame, [names.index(name) for name in told]] = places
     return time_s, [_place_of(name) for name in names], seen
-
-
-def _number(text: str | None) -> float:
-    return np.nan if text is None or not text.strip() else float(text)
 
 
 def _place_of(name: str) -> dict:
