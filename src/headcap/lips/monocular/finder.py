@@ -125,6 +125,7 @@ class _Template:
 
     @classmethod
     def of(cls, surface: FaceSurface, pitch_deg: float) -> _Template:
+        """The generic face before a camera, turned by `pitch_deg` about the camera's x axis, lit from `_LAMP`."""
         vertices = surface.in_head(surface.at_rest(np.eye(4)))
         turn = cv2.Rodrigues(np.array([np.radians(pitch_deg), 0.0, 0.0]))[0] @ FACING
         placed = vertices @ turn.T + [0.0, 0.0, _DISTANCE_M]

@@ -68,6 +68,7 @@ class _Frame:
     """How firmly it is held there."""
 
     def energy(self, look: Look, estimate: Estimate, appearance: Appearance) -> float:
+        """The problem's energy, and what the light's change costs."""
         changed = float(((appearance.light - self.light) ** 2).sum())
         return self.problem.energy(look, estimate, self.pixels) + self.held * changed
 

@@ -81,10 +81,12 @@ class _Fitting:
 
     @cached_property
     def trained_head(self) -> HeadModel:
+        """This person's head model after section 5.1's training."""
         return self.subject.personal(self.model.head)
 
     @cached_property
     def speech(self) -> SpokenErrors:
+        """What larynx and speech blendshapes explain of this person's meshes at rest."""
         return SpokenErrors(self.model, self.model.person(self.subject.name), self.judged, self.subject.seen)
 
     def fitter(self, head: HeadModel, kind: str) -> SequenceFitter:
@@ -196,11 +198,13 @@ class _Coefficients:
 
     @classmethod
     def empty(cls, frames: int, head: HeadModel) -> _Coefficients:
+        """So many frames, none of them fitted."""
         speech = SpeechFit(*(np.full(shape, np.nan) for shape in (frames, frames, (frames, len(head.speech_basis)))))
         shapes = ((frames, 2, 3), (frames, len(head.expression_basis)), (frames, 4, 4))
         return cls(speech, *(np.full(shape, np.nan) for shape in shapes))
 
     def put(self, block: FittedBlock, speech: SpeechFit) -> None:
+        """Enter the frames of a block."""
         at = block.frames
         self.theta[at], self.placement[at] = block.poses.theta, block.poses.placement
         # a pose take shows no expression (section 5.1)
@@ -208,4 +212,5 @@ class _Coefficients:
         self.speech.tau_m[at], self.speech.alpha[at], self.speech.phi[at] = speech.tau_m, speech.alpha, speech.phi
 
     def parts(self) -> tuple[SpeechFit, NDArray, NDArray, NDArray]:
+        """speech, theta, psi and placement, as `TakeFit` takes them."""
         return self.speech, self.theta, self.psi, self.placement
