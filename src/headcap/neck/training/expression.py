@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from headcap.geometry.leading_directions import RowSketch
 from headcap.heads import HeadModel
 from headcap.meshes.deformation_transfer import DeformationTransfer
 from headcap.meshes.extension import SmoothExtension
 from headcap.neck.fitting.compensation import FitSettings, SequenceFitter
-from headcap.neck.training.row_sketch import RowSketch
 from headcap.neck.training_subject import TrainingSubject, seen_by_all
 
 _ANCHORED_SHARE = 0.9
@@ -110,9 +110,9 @@ def _one_round(
     total = frames * (1 + len(identities))
     generic = model.expression_basis.reshape(len(model.expression_basis), 3 * n)
     sketch.add(np.sqrt(settings.generic_share * total) * generic)
-    directions, values = sketch.directions(settings.expressions)
-    basis = directions * (values / np.sqrt(total))[:, None]
-    explained = np.cumsum(values**2) / max(sketch.energy, 1e-300)
+    found = sketch.directions(settings.expressions)
+    basis = found.vectors * (found.values / np.sqrt(total))[:, None]
+    explained = np.cumsum(found.values**2) / max(found.energy, 1e-300)
     return ExpressionTraining(basis.reshape(-1, n, 3).astype(model.vertices.dtype), explained, frames, len(identities))
 
 

@@ -2,6 +2,11 @@
 
 Several subjects share the speech blendshapes N and have their own T_0, W and t_s. Their meshes are free of pose and expression
 (eq. 7) and are read in blocks: memory holds each frame's larynx region and a few hundred numbers for the rest of it.
+
+Speech blendshapes are leading singular vectors of what the larynx leaves (section 5.2, "Blendshape update", eq. 3, 20). Outside
+the larynx region a frame's residual M_j - T_0 is the same in every iteration (N(T_0) = N(T)). It is therefore reduced once to
+its leading coordinates; inside, the residual itself is kept. The basis of these coordinates is orthonormal, so singular vectors
+of the reduced matrix are those of the whole one, up to what the reduction left out.
 """
 
 from __future__ import annotations
@@ -14,6 +19,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.errors import InputError
+from headcap.geometry.leading_directions import leading_directions, reduce_rows
 from headcap.heads import HeadModel
 from headcap.meshes.extension import SmoothExtension
 from headcap.neck.fitting.speech import SpeechFit, anchored, spread
@@ -23,7 +29,6 @@ from headcap.neck.larynx.coefficients import Nuisance, SlideSettings, slide_and_
 from headcap.neck.larynx.larynx_map import LarynxMap
 from headcap.neck.larynx.update import LarynxUpdateSettings, SlideSums, update_larynx
 from headcap.neck.model import NeckModel, NeckPerson
-from headcap.neck.training.speech_basis import leading_directions, reduce_rows
 from headcap.neck.training_subject import seen_by_all
 
 LEAST_FRAMES = 8
@@ -202,7 +207,7 @@ class _Run:
         count = len(self.basis) + self.settings.growth
         # kept for all passes of the search: as large as the throats themselves
         residuals = [person.residual(chosen) for person in self.people for chosen in person.blocks()]
-        self.basis, _ = leading_directions(lambda: residuals, self.basis.shape[1], count, start=self.basis)
+        self.basis = leading_directions(lambda: residuals, self.basis.shape[1], count, start=self.basis).vectors
         self._solve_weights()
         self._note("speech blendshapes")
 

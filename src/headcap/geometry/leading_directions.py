@@ -1,0 +1,165 @@
+"""Leading directions of tall matrices whose rows do not fit in memory: singular vectors, principal components.
+
+Rows that can be read again are read pass after pass (`leading_directions`, and about their mean `principal_components`): from
+files, or made anew, in blocks of any size; nothing but the directions is kept, and what is found settles to that of the whole
+matrix. Rows that are dear to make are taken in once, as they come (`RowSketch`): twice the directions are kept, and what these
+cut off is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+Blocks = Callable[[], Iterable[NDArray]]
+"""Gives the rows of a tall matrix anew at each call, in blocks (f, c)."""
+
+OVERSAMPLING = 10
+SETTLED, MOST_PASSES = 1e-3, 12
+LEAST = 1e-4
+"""Directions whose singular value is below this share of the largest are single precision's rounding."""
+_MERGED = 256
+"""Rows that are merged at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """k leading directions of rows with c numbers each."""
+
+    vectors: NDArray[np.float64]
+    """(k, c) orthonormal rows."""
+    values: NDArray[np.float64]
+    """(k,) singular values, falling."""
+    energy: float
+    """Sum of squares of all rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class PrincipalComponents:
+    """Leading directions of rows about their mean."""
+
+    mean: NDArray[np.float64]
+    """(c,)"""
+    directions: Directions
+
+    def coordinates(self, rows: NDArray) -> NDArray:
+        """(f, k) of rows (f, c), in their precision."""
+        return (rows - self.mean.astype(rows.dtype)) @ self.directions.vectors.T.astype(rows.dtype)
+
+
+def leading_directions(blocks: Blocks, columns: int, count: int, *, start: NDArray | None = None, seed: int = 0) -> Directions:
+    """Leading right singular vectors and singular values of a tall matrix, `count` of them.
+
+    Randomised subspace iteration with Rayleigh-Ritz (Halko et al. 2011): every pass reads the matrix once. `start` (any, c) are
+    directions near the wanted ones. Stops when a pass changes the captured energy by less than a thousandth of what is left.
+    Products are taken in the precision of the rows, energies in double.
+    """
+    width = min(count + OVERSAMPLING, columns)
+    rows, captured = _filled(start, width, columns, seed), -np.inf
+    for _ in range(MOST_PASSES):
+        subspace = _orthonormal(rows)
+        image, energy = _power(blocks, subspace)
+        values, turn = np.linalg.eigh(subspace @ image.T)
+        values, turn = values[::-1], turn[:, ::-1]
+        before, captured = captured, float(values[:count].sum())
+        if captured - before <= SETTLED * max(energy - captured, 0.0) + 1e-12 * energy:
+            break
+        rows = turn.T @ image
+    return Directions((turn.T @ subspace)[:count], np.sqrt(np.maximum(values[:count], 0.0)), energy)
+
+
+def principal_components(blocks: Blocks, columns: int, count: int, *, seed: int = 0) -> PrincipalComponents:
+    """Mean and leading directions about it, at most `count`: those that single precision tells from nothing.
+
+    Reads the rows once for their mean, then as `leading_directions` does.
+    """
+    total, rows = np.zeros(columns), 0
+    for block in blocks():
+        total += block.sum(axis=0, dtype=np.float64)
+        rows += len(block)
+    mean = total / rows
+
+    def centred() -> Iterable[NDArray]:
+        return (block - mean.astype(block.dtype) for block in blocks())
+
+    found = leading_directions(centred, columns, min(count, rows, columns), seed=seed)
+    kept = found.values > LEAST * found.values.max(initial=0.0)
+    return PrincipalComponents(mean, Directions(found.vectors[kept], found.values[kept], found.energy))
+
+
+def reduce_rows(blocks: Blocks, columns: int, count: int, *, seed: int = 0) -> tuple[NDArray, NDArray, float]:
+    """Rows of a tall matrix in their leading coordinates (f, count), the directions (count, c), and the energy left out."""
+    found = leading_directions(blocks, columns, count, seed=seed)
+    directions = found.vectors.astype(np.float32)
+    reduced = np.concatenate([block @ directions.T for block in blocks()])
+    return reduced, directions, max(found.energy - float((reduced.astype(float) ** 2).sum()), 0.0)
+
+
+class RowSketch:
+    """Leading directions of rows seen one time only: the leading part of all rows so far, merged with each new block.
+
+    Incremental singular value decomposition (Brand 2002; Ross et al. 2008) through the Gram matrix of the rows: memory holds
+    `rank` rows and one block. What is cut off at each merge is smaller than the `rank`-th direction; with a rank of twice the
+    directions wanted these are those of the whole matrix to a small part of a per cent of its energy.
+    """
+
+    def __init__(self, columns: int, rank: int) -> None:
+        self._rank, self._rows = rank, np.zeros((0, columns), np.float32)
+        self._pending: list[NDArray] = []
+        self._energy = 0.0
+
+    def add(self, rows: NDArray) -> None:
+        """Take in rows (f, c)."""
+        rows = np.ascontiguousarray(rows, np.float32)
+        self._energy += _energy(rows)
+        self._pending.append(rows)
+        if sum(len(part) for part in self._pending) >= _MERGED:
+            self._merge(self._rank)
+
+    def directions(self, count: int) -> Directions:
+        """Of all rows so far, at most `count`: those that single precision tells from nothing."""
+        self._merge(self._rank)
+        length = np.linalg.norm(self._rows.astype(np.float64), axis=1)
+        order = np.argsort(-length, kind="stable")
+        order = order[length[order] > LEAST * length.max(initial=0.0)][:count]
+        # single precision left them orthogonal to a few parts in a million
+        unit, upper = qr(self._rows[order].T.astype(np.float64), mode="economic")
+        return Directions(np.ascontiguousarray((unit * np.sign(np.diagonal(upper))).T), length[order], self._energy)
+
+    def _merge(self, rank: int) -> None:
+        if not self._pending:
+            return
+        rows = np.concatenate([self._rows, *self._pending])
+        self._pending = []
+        values, turn = np.linalg.eigh((rows @ rows.T).astype(np.float64))
+        kept = np.flatnonzero(values > 0)[::-1][:rank]
+        self._rows = turn[:, kept].T.astype(np.float32) @ rows
+
+
+def _power(blocks: Blocks, subspace: NDArray) -> tuple[NDArray, float]:
+    """S^T S applied to the rows of a subspace (w, c), and the energy of S."""
+    image, energy = np.zeros_like(subspace), 0.0
+    for block in blocks():
+        basis = subspace.astype(block.dtype)
+        image += (block @ basis.T).T.astype(block.dtype) @ block
+        energy += _energy(block)
+    return image, energy
+
+
+def _energy(rows: NDArray) -> float:
+    return float(np.einsum("fc,fc->", rows, rows, dtype=np.float64))
+
+
+def _filled(start: NDArray | None, width: int, columns: int, seed: int) -> NDArray:
+    random = np.random.default_rng(seed).standard_normal((width, columns))
+    if start is not None and len(start):
+        random[: min(len(start), width)] = start[:width] * np.sqrt(columns)
+    return random
+
+
+def _orthonormal(rows: NDArray) -> NDArray[np.float64]:
+    return np.ascontiguousarray(qr(rows.T, mode="economic")[0].T)
