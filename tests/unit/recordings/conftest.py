@@ -43,6 +43,20 @@ def _add_sound(container, samples: np.ndarray) -> Callable[[], None]:
     return write
 
 
+def turned(mp4: bytes, deg: int) -> bytes:
+    """The mp4 with its picture track's matrix set to a turn by so many degrees counter-clockwise (a multiple of 90)."""
+    at = mp4.index(b"tkhd") + 4 + 40  # version 0: 4 flags, 20 times and ids, 8 reserved, 8 layer to reserved
+    across, up = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[deg]
+    fixed = [across << 16, -up * 0x10000, 0, up << 16, across << 16, 0, 0, 0, 0x40000000]
+    return mp4[:at] + b"".join(value.to_bytes(4, "big", signed=True) for value in fixed) + mp4[at + 36 :]
+
+
+@pytest.fixture
+def with_display_rotation() -> Callable[[bytes, int], bytes]:
+    """`turned`: a file that asks to be shown turned."""
+    return turned
+
+
 @pytest.fixture
 def slide() -> Callable[..., list[np.ndarray]]:
     """`sliding`: frames whose content moves one pixel a frame."""

@@ -74,14 +74,14 @@ def test_frames_are_read_in_any_order(write_video) -> None:
         assert not video[3].flags.writeable
 
 
-def test_a_turned_recording_is_shown_upright(write_video, tmp_path) -> None:
+def test_a_turned_recording_is_shown_upright(write_video, tmp_path, with_display_rotation) -> None:
     upright = np.zeros((96, 64, 3), np.uint8)
     upright[:32, :32] = (0, 0, 255)
     # the sensor lay on its side: stored turned clockwise, and the file asks for a turn back
     stored = np.ascontiguousarray(np.rot90(upright, -1))
     plain = write_video("stored", [stored] * 6)
     turned = tmp_path / "turned.mp4"
-    turned.write_bytes(_with_display_rotation(plain.read_bytes()))
+    turned.write_bytes(with_display_rotation(plain.read_bytes(), 90))
     recording = probe(turned)
     assert recording.rotation_deg == 90
     assert (recording.width, recording.height) == (64, 96)
@@ -90,13 +90,6 @@ def test_a_turned_recording_is_shown_upright(write_video, tmp_path) -> None:
         # chroma is at half resolution and lossy: compare well inside the quarters
         assert cv2.absdiff(video[2][4:28, 4:28], upright[4:28, 4:28]).max() < 12
         assert video[2][40:, 40:].max() < 12
-
-
-def _with_display_rotation(mp4: bytes) -> bytes:
-    """The mp4 with the picture track's matrix set to a turn by 90 degrees counter-clockwise."""
-    at = mp4.index(b"tkhd") + 4 + 40  # version 0: 4 flags, 20 times and ids, 8 reserved, 8 layer to reserved
-    fixed = [0, -0x10000, 0, 0x10000, 0, 0, 0, 0, 0x40000000]
-    return mp4[:at] + b"".join(value.to_bytes(4, "big", signed=True) for value in fixed) + mp4[at + 36 :]
 
 
 def test_a_trimmed_start_by_edit_list_is_honoured(write_video, tmp_path) -> None:
