@@ -455,8 +455,7 @@ def voice_fits(wildcards):
 
 def voice(wildcards):
     """Whose voices train a regressor, and what of the neck it drives."""
-    kind = "user" if wildcards.voice in PLAN.people else "generic"
-    return PLAN.voices[wildcards.voice].model_dump(mode="json") | {"kind": kind}
+    return PLAN.voices[wildcards.voice].model_dump(mode="json")
 
 
 def study_name(wildcards):

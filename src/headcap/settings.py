@@ -11,17 +11,18 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from headcap.artifacts import Name
 from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.neck.training.pose_expression import PoseExpressionSettings
 from headcap.neck.training.study import NeckTrainingSettings
-from headcap.neck.voice.training import VoiceCoefficients, VoiceTrainingSettings
+from headcap.neck.voice.training import Voice, VoiceTrainingSettings
 from headcap.reconstruction.settings import ReconstructSettings
 from headcap.recordings.settings import IngestSettings
 from headcap.registration.place import PlaceSettings
@@ -34,7 +35,6 @@ UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 CALIBRATION = "calibration"
 """Name of the board's recording among a session's recordings."""
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 Vector = tuple[float, float, float]
 
 
@@ -226,18 +226,6 @@ class MeshSubject(_Settings):
         return next(take for take in self.takes if take.name == name)
 
 
-class VoiceGroup(_Settings):
-    """People whose voices train one regressor that is meant for others as well."""
-
-    name: Name = Field(description="Name of the regressor.")
-    people: tuple[Name, ...] = Field(
-        min_length=1, description="Sessions and mesh subjects of the study that speak; those held out only test it."
-    )
-    coefficients: VoiceCoefficients = Field(
-        default="all", description="phi: speech blendshapes alone, for people whose larynx hardly shows."
-    )
-
-
 class Study(_Training):
     """Sessions that are worked on together: who trains, and who is held out to be tested on."""
 
@@ -245,7 +233,7 @@ class Study(_Training):
     sessions: tuple[str | dict, ...] = Field(default=(), description="Session files, or their content.")
     mesh_subjects: tuple[MeshSubject, ...] = Field(default=(), description="Further people, without recordings.")
     held_out: tuple[Name, ...] = Field(default=(), description="Sessions and mesh subjects that nothing is trained on.")
-    groups: tuple[VoiceGroup, ...] = Field(default=(), description="Generic regressors beside each person's own.")
+    groups: tuple[Voice, ...] = Field(default=(), description="Generic regressors beside each person's own.")
     train_speech: VoiceTrainingSettings = VoiceTrainingSettings()
 
 

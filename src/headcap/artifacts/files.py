@@ -8,9 +8,13 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]
+"""Of a person, take, camera or voice, as it stands in the paths of its files."""
 
 # zip members carry a time stamp; a fixed one makes equal content give equal digests
 _ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)

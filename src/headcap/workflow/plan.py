@@ -13,7 +13,8 @@ from pydantic import BaseModel
 
 from headcap.calibration.board import BoardSettings, read_board
 from headcap.errors import InputError, InputErrors
-from headcap.settings import MeshSubject, Session, Study, VoiceGroup, disagreements, known_figures, session_files
+from headcap.neck.voice.training import Voice
+from headcap.settings import MeshSubject, Session, Study, disagreements, known_figures, session_files
 from headcap.synthetic.settings import MeshRehearsalSettings, RehearsalSettings, TakeSettings
 from headcap.workflow.validation import KeyedInputError, validate
 
@@ -72,9 +73,9 @@ class Plan:
         return tuple(take.name for take in self.meshes[person].takes if take.kind == "speech" and take.sound)
 
     @property
-    def voices(self) -> dict[str, VoiceGroup]:
+    def voices(self) -> dict[str, Voice]:
         """Regressors to train by name: each speaking person's own, and the groups'."""
-        own = {name: VoiceGroup(name=name, people=(name,)) for name in self.training if self.heard(name)}
+        own = {name: Voice(name=name, people=(name,)) for name in self.training if self.heard(name)}
         return (own | {group.name: group for group in self.study.groups}) if self.neck_people else {}
 
     def limits(self, person: str) -> dict[str, float]:

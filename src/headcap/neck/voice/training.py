@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
+from headcap.artifacts import Name
 from headcap.errors import InputError
 from headcap.neck.fits import NeckFits
 from headcap.neck.model import NeckModel
@@ -38,22 +39,22 @@ VoiceCoefficients = Literal["all", "phi"]
 
 
 class Voice(BaseModel):
-    """A voice that a study trains."""
+    """A voice that a study trains: a person's own, or a group's for others as well."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    name: str = Field(min_length=1, description="Of the person, or of the group, such as male or female")
-    kind: VoiceKind = Field("user", description="user: of one person, for them; generic: of a group, for anybody")
-    people: tuple[str, ...] = Field(min_length=1, description="Subjects who speak; those that the study holds out only test it")
+    name: Name = Field(description="Name of the regressor; a person's own has theirs.")
+    people: tuple[Name, ...] = Field(
+        min_length=1, description="Sessions and mesh subjects of the study that speak; those held out only test it."
+    )
     coefficients: VoiceCoefficients = Field(
-        "all", description="all; or phi: blendshapes alone, for a group whose larynx does not show"
+        default="all", description="phi: speech blendshapes alone, for people whose larynx hardly shows."
     )
 
-    @model_validator(mode="after")
-    def _one_user(self) -> Voice:
-        if self.kind == "user" and len(self.people) != 1:
-            raise ValueError(f"voice {self.name}: a user's voice is of one person, not of {len(self.people)}")
-        return self
+    @property
+    def kind(self) -> VoiceKind:
+        """user: of one person, for them, whose name it has; generic: of a group, for anybody."""
+        return "user" if self.people == (self.name,) else "generic"
 
 
 class VoiceTrainingSettings(BaseModel):

@@ -65,7 +65,7 @@ def test_a_voice_is_trained_from_files(neck, heard, tmp_path):
         fits=fits,
         sounds=sounds,
         **outputs,
-        voice=Voice(name="both", kind="generic", people=("ann", "bob")),
+        voice=Voice(name="both", people=("ann", "bob")),
         settings=VoiceTrainingSettings(ridge={"least": 0.01, "most": 10.0, "per_decade": 1}),
     )
     read = SpeechRegressor.load(tmp_path / "r.npz", neck.version)
