@@ -8,11 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
+from headcap.synthetic.anatomy import Fields
+
 _THIN_M, _SOFT_M = 0.00005, 0.00004
 """Half of what is left between touching lips, and the height over which they round off to it."""
 _PRESS_M = 0.0003
 """How far relaxed lips would reach into each other if they did not flatten: it makes a line of contact a band."""
 _CLOSING_REACH_M = 0.0035
+_ROLL_IN_RAD, _ROLL_OUT_RAD = 1.2, 0.75
+_ROLL_AXIS_M = (0.0005, 0.0035)
+"""Where the axis of a rolling lip runs: ahead of its rim and away from the other lip, about the middle of the lip's flesh."""
+_ROLL_CORE_M, _ROLL_REACH_M = 0.0045, 0.012
+"""What lies so near the axis turns as a body; farther off skin gives way, and beyond the reach it stays."""
+_ROLL_BACK_M = 0.0015
+"""Lips that roll in draw back over the teeth, those that roll out come forward."""
+_ROLL_PRESS_M = 0.0012
+"""Lips that roll in press on each other, or what they turn away would leave a gap."""
 _FADE_M = (0.006, 0.03)
 """Skin's motion dies out between these depths of the mouth: the lips' backs still go with their fronts."""
 
@@ -44,6 +55,35 @@ class LipContact:
     def sheet(self, points: NDArray) -> PchipInterpolator:
         """Height y midway between the rims of points (n, 3), as a function of x."""
         return _halfway(*(_curve(points[rim], 1) for rim in self.rims))
+
+
+def roll_lips(
+    points: NDArray, zone: NDArray, contact: LipContact, fields: Fields, arch_centre_z: float, rolls: tuple[float, float]
+) -> None:
+    """Roll the upper and the lower lip (`rolls`, -1 out to 1 in) about axes inside them, points (n, 3) of `zone` in place.
+
+    Each cross-section of a lip swirls: it turns about the axis by an angle that depends on the distance from it alone, which
+    folds nothing whatever the angle. At the corners, where the lips are one skin, it dies out.
+    """
+    for side, rim, field, roll in zip((1, -1), contact.rims, (fields.upper_lip, fields.lower_lip), rolls, strict=True):
+        if abs(roll) < 1e-6:
+            continue
+        p = points[zone]
+        turn, radius = np.arctan2(p[:, 0], p[:, 2] - arch_centre_z), np.hypot(p[:, 0], p[:, 2] - arch_centre_z)
+        axis_turn = np.arctan2(points[rim, 0], points[rim, 2] - arch_centre_z)
+        axis = np.stack([np.hypot(points[rim, 0], points[rim, 2] - arch_centre_z), points[rim, 1]], axis=1)
+        freedom = np.clip(1 - np.where(turn < 0, turn / axis_turn[0], turn / axis_turn[-1]) ** 4, 0, 1)
+        # lips thin out towards the corners, and so does what they roll about
+        within = np.stack([np.full(len(p), _ROLL_AXIS_M[0]), side * _ROLL_AXIS_M[1] * (0.4 + 0.6 * freedom)], axis=1)
+        axis = _along(turn, axis_turn, axis) + within
+        ahead, above = radius - axis[:, 0], p[:, 1] - axis[:, 1]
+        part = np.clip((np.hypot(ahead, above) - _ROLL_CORE_M) / (_ROLL_REACH_M - _ROLL_CORE_M), 0, 1)
+        share = roll * field[zone] * freedom * (1 - part * part * (3 - 2 * part))
+        angle = side * share * (_ROLL_IN_RAD if roll > 0 else _ROLL_OUT_RAD)
+        c, s = np.cos(angle), np.sin(angle)
+        radius = axis[:, 0] + c * ahead + s * above - _ROLL_BACK_M * share
+        height = axis[:, 1] - s * ahead + c * above - side * _ROLL_PRESS_M * np.maximum(share, 0)
+        points[zone] = np.stack([radius * np.sin(turn), height, arch_centre_z + radius * np.cos(turn)], axis=1)
 
 
 def build_contact(points: NDArray, pairs: NDArray, upper: NDArray, lower: NDArray) -> LipContact:

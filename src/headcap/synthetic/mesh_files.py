@@ -57,7 +57,9 @@ def rehearse_meshes(settings: MeshRehearsalSettings, folder: Path) -> None:
 
 def _write_take(folder: Path, take: TakeSettings, number: int, subject: MeshSubject, settings: MeshRehearsalSettings) -> MeshTake:
     frames = max(round(take.duration_s * settings.rate_hz), 1)
-    performed = subject.take(take.kind, frames, settings.rate_hz, number=number, intensity=take.intensity)
+    performed = subject.take(
+        take.kind, frames, settings.rate_hz, number=number, intensity=take.intensity, lip_shapes=take.lip_shapes
+    )
     time_s = np.arange(frames) / settings.rate_hz
     positions = folder / f"{take.name}.npy"
     save_chunk(positions, performed.meshes)

@@ -21,7 +21,7 @@ from headcap.synthetic.growth import place_larynx
 from headcap.synthetic.larynx import build_larynx
 from headcap.synthetic.performance import Performance, perform
 from headcap.synthetic.rig import MOTION_STREAM, SUBJECT_STREAM, random_stream
-from headcap.synthetic.settings import SubjectSettings, TakeKind
+from headcap.synthetic.settings import LipShape, SubjectSettings, TakeKind
 from headcap.synthetic.subject import AT_REST, Subject
 
 _FULL_TURN_RAD = 0.5
@@ -84,9 +84,12 @@ class MeshSubject:
         swollen = replace(self.subject, bare_m=self.subject.bare_m + self.muscles.displacement(state))
         return swollen.vertices(state)
 
-    def take(self, kind: TakeKind, frames: int, rate_hz: float, *, number: int = 0, intensity: float = 1.0) -> MeshTake:
+    def take(
+        self, kind: TakeKind, frames: int, rate_hz: float, *, number: int = 0, intensity: float = 1.0,
+        lip_shapes: tuple[LipShape, ...] = (),
+    ) -> MeshTake:  # fmt: skip
         """A take of a kind; takes of different numbers differ, equal ones are equal."""
-        performance = perform(random_stream(self.seed, MOTION_STREAM, number), kind, frames / rate_hz, intensity)
+        performance = perform(random_stream(self.seed, MOTION_STREAM, number), kind, frames / rate_hz, intensity, lip_shapes)
         states = tuple(performance.state(k / rate_hz) for k in range(frames))
         meshes = np.empty((frames, *self.subject.bare_m.shape), np.float32)
         for mesh, state in zip(meshes, states, strict=True):

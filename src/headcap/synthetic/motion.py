@@ -15,6 +15,10 @@ from scipy.spatial.transform import Rotation
 from headcap.synthetic.anatomy import Fields, Places
 
 JAW_RAD, JAW_FORWARD_M, JAW_SIDE_M = 0.29, 0.006, 0.004
+ARCH_M = 0.034
+"""Radius of the dental arch that the lips lie on."""
+_SIDEWAYS_RAD = 0.2
+"""How far about the arch's centre a mouth is drawn to one side."""
 _CURVATURE_M = 0.045
 """Radius of the arcs along which skin slides over the skull."""
 _LID_REACH_M = 0.009
@@ -164,11 +168,11 @@ def move_lips(points: NDArray, zone: NDArray, fields: Fields, places: Places, st
         -0.5 * ((away[:, 0] / (1.25 * half)) ** 2 + (away[:, 1] / 0.019) ** 2 + (np.minimum(away[:, 2] + 0.01, 0) / 0.02) ** 2)
     )
     # along the dental arch: the angle at its centre shrinks or grows, the arch stays
-    arch = 0.034
-    centre_z = places.mouth[2] - arch
+    centre_z = places.mouth[2] - ARCH_M
     angle = np.arctan2(p[:, 0], np.maximum(p[:, 2] - centre_z, 0.004))
     radius = np.hypot(p[:, 0], p[:, 2] - centre_z)
     turned = angle * (1 + near * (0.17 * spreading - 0.40 * rounding * (1 - 0.3 * spreading)))
+    turned = turned + _SIDEWAYS_RAD * state["mouth_side"] * near
     radius = radius + near * (0.0065 * rounding**1.3 - 0.0012 * spreading)
     front = p[:, 2] - centre_z > 0.004
     p[:, 0] = np.where(front, radius * np.sin(turned), p[:, 0])

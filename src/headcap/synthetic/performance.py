@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import cycle, islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headcap.synthetic.articulation import GRID_HZ, ONSET_S, Tracks, speak
-from headcap.synthetic.settings import TakeKind
+from headcap.synthetic.settings import LipShape, TakeKind
 
 MUSCLES = (
     "brow_raise_left",
@@ -25,11 +27,14 @@ MUSCLES = (
     "lower_lip_drop",
 )
 """Contraction 0 to 1."""
-ARTICULATORS = ("jaw", "jaw_side", "rounding", "spreading", "closure", "tuck")
-"""Jaw opening, its sideways shift (-1 to 1), lips rounded, spread, pressed together, lower lip under the teeth."""
+ARTICULATORS = (
+    "jaw", "jaw_side", "rounding", "spreading", "closure", "tuck", "upper_roll", "lower_roll", "mouth_side"
+)  # fmt: skip
+"""Jaw opening, its sideways shift (-1 to 1), lips rounded, spread, pressed together, lower lip under the teeth, each lip rolled
+(-1 out to 1 in over the teeth), mouth drawn sideways (-1 to 1, 1 to the left)."""
 RIGID = ("turn_x", "turn_y", "turn_z", "gaze_x", "gaze_y", "larynx_mm", "larynx_size")
 """Head turn as a rotation vector (radians), gaze (radians, up and left), the larynx's height (mm, up) and size less one."""
-_SIGNED = {"jaw_side", *RIGID}
+_SIGNED = {"jaw_side", "upper_roll", "lower_roll", "mouth_side", *RIGID}
 CHANNELS = MUSCLES + ARTICULATORS + RIGID
 
 _EXPRESSIONS: tuple[dict[str, float], ...] = (
@@ -43,15 +48,29 @@ _EXPRESSIONS: tuple[dict[str, float], ...] = (
     {"blink": 1.0, "sneer": 0.6, "spreading": 0.8, "lower_lip_drop": 0.7},
     {"jaw": 1.0, "lower_lip_drop": 0.5, "upper_lip_raise": 0.4, "jaw_side": 0.5},
 )
-_LIP_POSES: tuple[dict[str, float], ...] = (
-    {"rounding": 1.0, "jaw": 0.3},
-    {"closure": 1.0},
-    {"spreading": 1.0, "upper_lip_raise": 0.5, "lower_lip_drop": 0.6},
-    {"tuck": 1.0, "jaw": 0.15},
-    {"upper_lip_raise": 1.0, "jaw": 0.1},
-    {"lower_lip_drop": 1.0, "jaw": 0.3},
-    {"jaw": 0.9, "rounding": 0.6},
-)
+LIP_SHAPES: dict[LipShape, dict[str, float]] = {
+    "pucker": {"rounding": 1.0, "jaw": 0.3},
+    "press": {"closure": 1.0},
+    "spread": {"spreading": 1.0, "upper_lip_raise": 0.5, "lower_lip_drop": 0.6},
+    "tuck": {"tuck": 1.0, "jaw": 0.15},
+    "bare_upper": {"upper_lip_raise": 1.0, "jaw": 0.1},
+    "bare_lower": {"lower_lip_drop": 1.0, "jaw": 0.3},
+    "round_open": {"jaw": 0.9, "rounding": 0.6},
+    "smile": {"smile_left": 1.0, "smile_right": 0.95, "spreading": 0.4},
+    "smirk_left": {"smile_left": 1.0, "mouth_side": 0.4},
+    "smirk_right": {"smile_right": 1.0, "mouth_side": -0.4},
+    "frown": {"corner_down_left": 0.95, "corner_down_right": 1.0, "closure": 0.3},
+    "kiss": {"rounding": 1.0, "upper_roll": -0.5, "lower_roll": -0.5},
+    "roll_in": {"upper_roll": 1.0, "lower_roll": 1.0},
+    "roll_out": {"upper_roll": -1.0, "lower_roll": -1.0},
+    "puff": {"cheek_puff": 1.0, "closure": 0.6, "rounding": 0.2},
+    "side_left": {"mouth_side": 1.0, "jaw_side": 0.8},
+    "side_right": {"mouth_side": -1.0, "jaw_side": -0.8},
+    "jaw_open": {"jaw": 1.0},
+}
+"""What lips do in a take of theirs: the shapes that the lips' paper names (section 3.1), and what the jaw and single lips add."""
+_FIRST_SHAPES = 7
+"""These come first, in any order, where a take does not name its shapes; then the others; then all of them."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +89,10 @@ class Performance:
         return {name: value if name in _SIGNED else max(value, 0.0) for name, value in state.items()}
 
 
-def perform(random: np.random.Generator, kind: TakeKind, duration_s: float, intensity: float) -> Performance:
-    """A random performance of a kind of take."""
+def perform(
+    random: np.random.Generator, kind: TakeKind, duration_s: float, intensity: float, shapes: tuple[LipShape, ...] = ()
+) -> Performance:
+    """A random performance of a kind of take; takes of lips go through `shapes` over and over, or through all in random order."""
     time = np.arange(0, duration_s + 0.3, 1 / GRID_HZ)
     channels = {name: np.zeros(len(time)) for name in CHANNELS}
     speech = None
@@ -84,13 +105,13 @@ def perform(random: np.random.Generator, kind: TakeKind, duration_s: float, inte
         ]
         _turn_head(channels, random, time, np.array(reach) * intensity, move_s)
     if kind in ("expression", "free", "lips"):
-        poses = _LIP_POSES if kind == "lips" else _EXPRESSIONS
+        poses = _lip_shapes(random, shapes) if kind == "lips" else _shuffled(random, _EXPRESSIONS)
         strength = intensity * {"expression": 1.0, "free": 0.6, "lips": 1.0}[kind]
         _make_faces(channels, random, time, poses, strength)
     if kind in ("expression", "free", "pose"):
         _blink(channels, random, time)
     for name in MUSCLES + ARTICULATORS:
-        low = -1.0 if name == "jaw_side" else 0.0
+        low = -1.0 if name in _SIGNED else 0.0
         channels[name] = _soft_limit(channels[name], low, 1.0)
     return Performance(Tracks(time, CHANNELS, np.stack([channels[name] for name in CHANNELS], axis=1)), speech)
 
@@ -114,18 +135,33 @@ def _turn_head(channels: dict[str, NDArray], random: np.random.Generator, time: 
     channels["larynx_mm"] += -6.0 * turn[:, 0]
 
 
-def _make_faces(
-    channels: dict[str, NDArray], random: np.random.Generator, time: NDArray, poses: tuple[dict[str, float], ...], strength: float
-) -> None:
+def _shuffled(random: np.random.Generator, poses: Sequence[dict[str, float]]) -> Iterator[dict[str, float]]:
     order = random.permutation(len(poses))
-    start, k = ONSET_S + 0.02, 0
+    return cycle([poses[k] for k in order])
+
+
+def _lip_shapes(random: np.random.Generator, names: tuple[LipShape, ...]) -> Iterator[dict[str, float]]:
+    if names:
+        yield from cycle([LIP_SHAPES[name] for name in names])
+    shapes = list(LIP_SHAPES.values())
+    for part in (shapes[:_FIRST_SHAPES], shapes[_FIRST_SHAPES:]):
+        yield from islice(_shuffled(random, part), len(part))
+    yield from _shuffled(random, shapes)
+
+
+def _make_faces(
+    channels: dict[str, NDArray], random: np.random.Generator, time: NDArray, poses: Iterator[dict[str, float]], strength: float
+) -> None:
+    start = ONSET_S + 0.02
+    # the order is drawn before the first attack
+    pose = next(poses)
     while start < time[-1]:
         attack, hold, release = random.uniform(0.16, 0.26), random.uniform(0.05, 0.2), random.uniform(0.2, 0.3)
         shape = _ease((time - start) / attack) * (1 - _ease((time - start - attack - hold) / release))
-        for name, value in poses[order[k % len(poses)]].items():
+        for name, value in pose.items():
             channels[name] += strength * value * shape
         start += attack + hold + 0.7 * release
-        k += 1
+        pose = next(poses)
 
 
 def _blink(channels: dict[str, NDArray], random: np.random.Generator, time: NDArray) -> None:

@@ -78,7 +78,8 @@ def performance_of(settings: RehearsalSettings, take: str) -> Performance:
     index = [t.name for t in settings.takes].index(take)
     chosen = settings.takes[index]
     end = chosen.duration_s + settings.clock.start_spread_s
-    return perform(random_stream(settings.seed, MOTION_STREAM, index), chosen.kind, end, chosen.intensity)
+    random = random_stream(settings.seed, MOTION_STREAM, index)
+    return perform(random, chosen.kind, end, chosen.intensity, chosen.lip_shapes)
 
 
 def rehearse(settings: RehearsalSettings, folder: Path | str, *, progress: Progress | None = None, workers: int = 1) -> Rehearsal:

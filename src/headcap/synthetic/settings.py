@@ -8,6 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Vector = tuple[float, float, float]
 TakeKind = Literal["pose", "expression", "speech", "lips", "free"]
+LipShape = Literal[
+    "pucker", "press", "spread", "tuck", "bare_upper", "bare_lower", "round_open", "smile", "smirk_left", "smirk_right", "frown",
+    "kiss", "roll_in", "roll_out", "puff", "side_left", "side_right", "jaw_open",
+]  # fmt: skip
 
 
 class _Settings(BaseModel):
@@ -125,6 +129,10 @@ class TakeSettings(_Settings):
     intensity: float = Field(default=1.0, gt=0, description="Strength of the motion.")
     lip_tattoo: bool | None = Field(
         default=None, description="Tattoos on and about the lips; without a word takes of lips have them and others do not."
+    )
+
+    lip_shapes: tuple[LipShape, ...] = Field(
+        default=(), description="What the lips do, one after the other, in a take of lips; without a word all, in random order."
     )
 
     @property

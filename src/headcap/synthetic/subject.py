@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.synthetic import motion
+from headcap.synthetic import lips, motion
 from headcap.synthetic.anatomy import Fields, Places
 from headcap.synthetic.larynx import Larynx
-from headcap.synthetic.lips import LipContact
 from headcap.synthetic.performance import CHANNELS
 from headcap.synthetic.render import Surface
 from headcap.synthetic.texture import Grain
@@ -36,7 +35,7 @@ class Subject:
     fields: Fields
     larynx: Larynx
     pulls: tuple[motion.Pull, ...]
-    contact: LipContact
+    contact: lips.LipContact
     lids: tuple[motion.Lids, ...]
     """Left, right."""
     eyes: tuple[NDArray[np.int64], ...]
@@ -62,6 +61,9 @@ class Subject:
             if state[pull.muscle] > 1e-6:
                 pull.apply(points, state[pull.muscle])
         motion.move_lips(points, self.lip_zone, self.fields, self.places, state)
+        centre_z = self.places.mouth[2] - motion.ARCH_M
+        rolls = state["upper_roll"], state["lower_roll"]
+        lips.roll_lips(points, self.lip_zone, self.contact, self.fields, centre_z, rolls)
         motion.turn_jaw(points, self.jaw_zone, self.fields, self.places, state)
         self.contact.keep_apart(points)
         for lids in self.lids:
