@@ -1,4 +1,4 @@
-"""A subject without pictures: takes as meshes, the voice, and how high the larynx really was."""
+"""A subject without a rig: takes as meshes, the voice, how high the larynx really was, and one camera's view where asked for."""
 
 from pathlib import Path
 

@@ -1,9 +1,10 @@
 """
-Makes the takes of a study's rehearsed mesh subjects: what tracking would give, without pictures.
+Makes the takes of a study's rehearsed mesh subjects: what tracking would give, without a rig.
 
 INPUTS:   none; the subject's `rehearse_meshes` settings
 OUTPUTS:  rehearsal = results/{person}/rehearse_meshes/rehearsal.json, and beside it template.npz and per take
-                      mesh sequence, sound and the larynx's true height
+                      mesh sequence, sound and the larynx's true height; where `video` is set also camera.json
+                      and per take <take>.mp4, frame by frame as the meshes
 """
 
 

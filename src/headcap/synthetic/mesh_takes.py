@@ -1,4 +1,4 @@
-"""Subjects as mesh sequences, without pictures: the rehearsed person in the head model's own topology, with muscles in the neck.
+"""Subjects as mesh sequences, without a rig: the rehearsed person in the head model's own topology, with muscles in the neck.
 
 A study may take further subjects in this form. Their motion is `Subject`'s (arcs, a hinge, a spine of seven joints, a larynx that
 slides), in no model's class; what is left out is what only a camera sees: denser skin, eyeballs that turn, teeth, blinking lids.
