@@ -2,6 +2,7 @@
 
 from headcap.lips.artifact import LipRegressor
 from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, HeldBorder, canonical_meshes
+from headcap.lips.correspondence import Correspondence, LipCorrespondenceSettings, NeutralFace, correspond, same_topology
 from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, border_in_picture, lip_features
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
 from headcap.lips.regression import LipTake, RegressionSettings, train_regression
@@ -9,18 +10,23 @@ from headcap.lips.regression import LipTake, RegressionSettings, train_regressio
 __all__ = [
     "CanonicalMeshes",
     "CorrectionLayer",
+    "Correspondence",
     "FeatureSpace",
     "HeldBorder",
     "LipContours",
+    "LipCorrespondenceSettings",
     "LipFeatures",
     "LipRegressor",
     "LipTake",
     "Mouth",
     "MouthSettings",
+    "NeutralFace",
     "RegressionSettings",
     "border_in_picture",
     "canonical_meshes",
+    "correspond",
     "find_mouth",
     "lip_features",
+    "same_topology",
     "train_regression",
 ]

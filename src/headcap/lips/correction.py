@@ -16,6 +16,7 @@ from scipy import sparse
 
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_rigid, fit_similarity, transform
+from headcap.lips.correspondence import Correspondence
 from headcap.lips.mouth import Mouth
 from headcap.lips.triangle_parameters import PARAMETERS, compose, decompose
 from headcap.meshes.laplacian import Factor
@@ -86,30 +87,32 @@ class CorrectionLayer:
 
     # -- eq. 1 ------------------------------------------------------------------------------------------------------------------
 
-    def parameters(self, base: NDArray, truth_neutral: NDArray, truth: NDArray) -> NDArray[np.float32]:
-        """l_f of eq. 1 (f, T, 9) between base-tracked (f, n, 3) and true meshes (f, n, 3); radians and strains.
+    def parameters(
+        self, base: NDArray, truth_neutral: NDArray, truth: NDArray, correspondence: Correspondence | None = None
+    ) -> NDArray[np.float32]:
+        """l_f of eq. 1 (f, T, 9) between base-tracked (f, n, 3) and true meshes (f, N, 3); radians and strains.
 
         G_f = H_f D_0 C_f^-1 with H_f: H_0 -> H_f, C_f: C_0 -> C_f the deformation gradients of each triangle with its normal as
         fourth vertex (Sumner & Popovic 2004, eq. 2 to 4). Base meshes are canonical (`canonical_meshes` onto C_0), true ones in
         any frame: H_0 is brought onto C_0 by a similarity, for one camera cannot tell how large a head is, and H_f onto H_0 by
-        rigid motion. Frames that are not finite give NaN. Raises `InputError` for another topology or numbers of frames.
+        rigid motion. True meshes of another topology come with their `correspondence` (section 4.1): H_f is then that of the
+        triangle that corresponds, and D_0 goes from C_0 to its registration onto H_0. Frames that are not finite give NaN. Raises
+        `InputError` for another topology or numbers of frames.
         """
         base, truth = np.asarray(base), np.asarray(truth)
         _check_meshes(base, self.base_neutral)
-        _check_meshes(truth, self.base_neutral)
         if len(base) != len(truth):
             raise InputError(
                 f"{len(base)} base-tracked and {len(truth)} true meshes", expected="one each per frame", remedy="Pair the frames."
             )
-        steady = self.mouth.steady
-        anchor, unit = canonical_truth(truth_neutral, self.base_neutral, steady)
+        fine = _TrueMotion(self, truth_neutral, correspondence)
+        _check_meshes(truth, fine.anchor)
         corners = self.mouth.triangles[self.mouth.layer]
-        between = self._between(anchor, corners)
         out = np.empty((len(base), len(corners), PARAMETERS), np.float32)
         gradients, numbers = np.empty((len(corners), 3, 3)), np.empty((len(corners), PARAMETERS))
-        for row, coarse, fine in zip(out, base, truth, strict=True):
-            moved = canonical_meshes(unit * fine[None].astype(np.float64), anchor, steady).meshes[0]
-            _gradients(np.ascontiguousarray(coarse, np.float64), np.ascontiguousarray(moved), corners, between, gradients)
+        for row, coarse, true in zip(out, base, truth, strict=True):
+            source = np.ascontiguousarray(coarse, np.float64)
+            _gradients(source, corners, fine.canonical(true), fine.corners, fine.between, gradients)
             decompose(gradients, numbers)
             row[:] = numbers
         return out
@@ -145,12 +148,6 @@ class CorrectionLayer:
             mesh[patch.free] = solved
         return out
 
-    def _between(self, anchor: NDArray, corners: NDArray) -> NDArray[np.float64]:
-        """(T, 3, 3) V_H0^-1 D_0 V_C0: what stands between the frames of a true and the inverse of a base triangle in eq. 1."""
-        coarse, fine = triangle_frames(self.base_neutral, corners), triangle_frames(anchor, corners)
-        anchored = fine @ np.linalg.inv(coarse) if self.identity == "corrected" else np.eye(3)
-        return np.linalg.inv(fine) @ anchored @ coarse
-
     @cached_property
     def _patch(self) -> _Patch:
         return _Patch(self.base_neutral, self.mouth)
@@ -168,6 +165,34 @@ class HeldBorder:
     """(f, k, 2) x, y metres, canonical; a frame with NaN is not held."""
     weight: float = 1.0
     """Of a squared distance, beside strains: the collar's stiffness against a shift of the mouth is about five."""
+
+
+class _TrueMotion:
+    """H_0 and H_f of eq. 1 about a layer's triangles, in the layer's topology or in one that corresponds to it."""
+
+    def __init__(self, layer: CorrectionLayer, truth_neutral: NDArray, correspondence: Correspondence | None) -> None:
+        self.mouth, self.correspondence = layer.mouth, correspondence
+        truth_neutral = np.asarray(truth_neutral, np.float64)
+        coarse = layer.mouth.triangles[layer.mouth.layer]
+        if correspondence is None:
+            self.corners, registered = coarse, truth_neutral
+        else:
+            self.corners = correspondence.rig_triangles[correspondence.of_triangle[layer.mouth.layer]]
+            registered = correspondence.carry(truth_neutral)
+        placed, self.unit, placement = _canonical_truth(registered, layer.base_neutral, layer.mouth.steady)
+        self.anchor = transform(placement, self.unit * truth_neutral)
+        self.steady = placed[layer.mouth.steady]
+        # V_H0^-1 D_0 V_C0: what stands between the frames of a true and the inverse of a base triangle
+        identity = placed if layer.identity == "corrected" else layer.base_neutral
+        self.between = np.linalg.inv(triangle_frames(self.anchor, self.corners)) @ triangle_frames(identity, coarse)
+
+    def canonical(self, mesh: NDArray) -> NDArray[np.float64]:
+        """A true mesh (N, 3) moved rigidly onto H_0."""
+        mesh = self.unit * np.asarray(mesh, np.float64)
+        steady = self.mouth.steady
+        points = mesh[steady] if self.correspondence is None else self.correspondence.carry(mesh, steady)
+        placement = _robust_rigid(points, self.steady)
+        return np.ascontiguousarray((mesh - placement[:3, 3]) @ placement[:3, :3])
 
 
 class _Patch:
@@ -208,10 +233,7 @@ class _Patch:
 
 def canonical_truth(truth_neutral: NDArray, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray[np.float64], float]:
     """H_0 (n, 3) brought onto C_0 (n, 3) by a similarity on `steady` (s,), and its scale."""
-    truth_neutral = np.asarray(truth_neutral, np.float64)
-    _check_meshes(truth_neutral[None], base_neutral)
-    placement, scale = fit_similarity(truth_neutral[steady], base_neutral[steady])
-    return transform(placement, scale * truth_neutral), scale
+    return _canonical_truth(truth_neutral, base_neutral, steady)[:2]
 
 
 def triangle_frames(vertices: NDArray, corners: NDArray) -> NDArray[np.float64]:
@@ -222,6 +244,13 @@ def triangle_frames(vertices: NDArray, corners: NDArray) -> NDArray[np.float64]:
 
 
 _NO_PLACES = np.zeros((0, 4, 4))
+
+
+def _canonical_truth(truth_neutral: NDArray, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray, float, NDArray]:
+    truth_neutral = np.asarray(truth_neutral, np.float64)
+    _check_meshes(truth_neutral[None], base_neutral)
+    placement, scale = fit_similarity(truth_neutral[steady], base_neutral[steady])
+    return transform(placement, scale * truth_neutral), scale, placement
 
 
 def _robust_rigid(points: NDArray, neutral: NDArray) -> NDArray[np.float64]:
@@ -287,12 +316,12 @@ def _frames(vertices, corners, out):
 
 
 @njit(cache=True)
-def _gradients(coarse, fine, corners, between, out):
+def _gradients(coarse, corners, fine, fine_corners, between, out):
     """G = V_Hf (V_H0^-1 D_0 V_C0) V_Cf^-1 of every triangle; NaN where C_f has no area."""
     source, inverse, target, middle = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     for t in range(len(corners)):
         _frame(coarse, corners[t], source)
-        _frame(fine, corners[t], target)
+        _frame(fine, fine_corners[t], target)
         for i in range(3):
             for j in range(3):
                 a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
