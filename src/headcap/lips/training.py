@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from headcap.errors import InputError
-from headcap.lips.artifact import LipRegressor
 from headcap.lips.correction import Identity
-from headcap.lips.examples import LipExample, MouthSpace, resting_distances
+from headcap.lips.examples import LipExample, resting_distances
 from headcap.lips.mouth import MouthSettings
-from headcap.lips.regression import Inputs, LipTake, RegressionSettings, train_regression
+from headcap.lips.regression import Inputs, RegressionSettings
 
 
 class LipTrainingSettings(BaseModel):

@@ -98,7 +98,7 @@ def find_face(surface: FaceSurface, camera: Camera, picture: NDArray[np.uint8]) 
 
     The camera's axes; lens distortion is passed over. The caller judges the score.
     """
-    looks, best = _looks(picture), None
+    looks, best = looks_of(linear_light(picture)), None
     short = min(picture.shape[:2])
     for pitch_deg in _PITCHES_DEG:
         template = _Template.of(surface, pitch_deg)
@@ -179,10 +179,13 @@ def _inner(surface: FaceSurface, placed: NDArray, matrix: NDArray, side: int) ->
     return (np.abs(x - middle[0]) < _REACH_ACROSS * half) & (y > middle[1] - _REACH_UP * half) & (y < low)
 
 
-def _looks(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Logarithms of brightness and of red over green (height, width, 2): lamps and complexions become constants."""
-    linear = cv2.GaussianBlur(linear_light(picture), (0, 0), 1.0) + 0.01
-    return np.stack([np.log(linear.mean(axis=2)), np.log(linear[..., 2] / linear[..., 1])], axis=2)
+def looks_of(linear: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithms of brightness and of red over green (height, width, 2) of linear light (height, width, 3), blue first.
+
+    Lamps and complexions become constants.
+    """
+    smooth = cv2.GaussianBlur(linear, (0, 0), 1.0) + 0.01
+    return np.stack([np.log(smooth.mean(axis=2)), np.log(smooth[..., 2] / smooth[..., 1])], axis=2)
 
 
 def _redness(surface: FaceSurface) -> NDArray[np.float64]:
@@ -196,14 +199,22 @@ def _redness(surface: FaceSurface) -> NDArray[np.float64]:
 
 
 def _normalised(looks: NDArray, mask: NDArray | None = None) -> NDArray[np.float32]:
-    """Zero mean and unit deviation in a Gaussian window about each pixel (of the masked part), channels by their worth."""
+    """As the finder compares: channels by their worth."""
     mask = np.ones(looks.shape[:2], np.float32) if mask is None else mask
-    blur = lambda values: cv2.GaussianBlur(values, (0, 0), _CONTRAST_PX)  # noqa: E731
+    return locally_normalised(looks, mask, _CONTRAST_PX, 0.1) * np.array(_WORTH, np.float32)
+
+
+def locally_normalised(looks: NDArray, mask: NDArray, window_px: float, floor_share: float) -> NDArray[np.float32]:
+    """Zero mean and unit deviation in a Gaussian window about each pixel, of the part where `mask` (height, width) is 1.
+
+    Deviations below `floor_share` of the mean one count as that: smooth skin shall not become rough.
+    """
+    blur = lambda values: cv2.GaussianBlur(values, (0, 0), window_px)  # noqa: E731
     weight, out = np.maximum(blur(mask), 1e-3), np.empty_like(looks)
-    for k, worth in enumerate(_WORTH):
+    for k in range(looks.shape[2]):
         values = looks[..., k]
         mean = blur(values * mask) / weight
         spread = np.sqrt(np.maximum(blur((values - mean) ** 2 * mask) / weight, 0.0))
-        floor = max(0.1 * float(spread[mask > 0].mean()), _LEAST_SPREAD)
-        out[..., k] = worth * (values - mean) / np.maximum(spread, floor) * mask
+        floor = max(floor_share * float(spread[mask > 0].mean()), _LEAST_SPREAD)
+        out[..., k] = (values - mean) / np.maximum(spread, floor) * mask
     return out

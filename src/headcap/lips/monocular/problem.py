@@ -123,6 +123,18 @@ class FrameProblem:
         self.surface, self.levels = surface, tuple(levels)
         self.prior, self.settings, self.features = prior, settings, tuple(features)
 
+    def helped_by(self, features: Features) -> FrameProblem:
+        """This problem with more features."""
+        return FrameProblem(
+            self.surface,
+            self.levels,
+            self.prior,
+            self.settings,
+            (*self.features, features),
+            self._most_noise,
+            1e3 * self._correlated_m,
+        )
+
     def look(self, estimate: Estimate, appearance: Appearance, level: int, noise: float | None = None) -> Look:
         """The surface at an estimate; without a noise (linear intensity) it is measured, see `noise_of`."""
         here = self.levels[level]

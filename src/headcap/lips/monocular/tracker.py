@@ -13,6 +13,7 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.heads import HeadModel
 from headcap.lips.monocular import detections
+from headcap.lips.monocular.alignment import flow_features, open_eyed_colour
 from headcap.lips.monocular.finder import find_face, generic_colour, mistaken
 from headcap.lips.monocular.harmonics import COEFFICIENTS, harmonics
 from headcap.lips.monocular.photometric import Level, observed
@@ -22,7 +23,7 @@ from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.solver import Fit, descend, descend_sparse, paint, relight
 from headcap.lips.monocular.surface import JAW, Estimate, FaceSurface, Slopes
 
-_START_ROUNDS, _SPARSE_STEPS = 3, 8
+_START_ROUNDS, _SPARSE_STEPS, _ALIGN_ROUNDS = 3, 8, 4
 _NOISE_GAIN = 0.1
 """How fast the usual noise follows a frame's."""
 _FLOW_WINDOW_PX, _FLOW_LEVELS, _RETURN_PX = 13, 3, 0.7
@@ -138,7 +139,27 @@ class MonocularTracker:
         problem = self._first_problem(picture, surface.at_rest(found.camera_from_head), [])
         fits = [self._laid(problem, surface.at_rest(place)) for place in mistaken(found)]
         best = max(fits, key=lambda fit: _correlation(fit.look, surface.triangles, fit.appearance.trust))
-        return problem, best.estimate, best.appearance
+        return problem, *self._aligned(problem, best.estimate, best.appearance)
+
+    def _aligned(self, problem: FrameProblem, estimate: Estimate, appearance: Appearance) -> tuple[Estimate, Appearance]:
+        """A laid face drawn to the picture's lips, nostrils, lids and brows, and shaded with these held."""
+        surface, free = self.surface, self._free_at_start()
+        free[-1] = False
+        appearance = replace(appearance, albedo=(open_eyed_colour(surface),) * len(problem.levels))
+        features = None
+        for _ in range(_ALIGN_ROUNDS):
+            appearance = self._relit(problem, estimate, appearance, 0, 2)
+            features = flow_features(surface, problem.levels[0], estimate, appearance, 0)
+            if features is None:
+                return estimate, appearance
+            sparse = FrameProblem(surface, (), problem.prior, self.settings, [features])
+            estimate = descend_sparse(sparse, estimate, free, _SPARSE_STEPS)
+        held = problem.helped_by(features)
+        for level in reversed(range(len(problem.levels))):
+            appearance = self._relit(held, estimate, appearance, level, 1)
+            fit = descend(held, estimate, appearance, level, free, surface.slopes(estimate, shape=True))
+            estimate, appearance = fit.estimate, fit.appearance
+        return estimate, appearance
 
     def _first_problem(self, picture: NDArray[np.uint8], estimate: Estimate, features: list[Features]) -> FrameProblem:
         """The first frame at the resolutions that suit the face's size there."""
