@@ -20,6 +20,8 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
+from headcap.lips.monocular.settings import MonocularSettings
+from headcap.lips.training import LipTrainingSettings
 from headcap.neck.training.pose_expression import PoseExpressionSettings
 from headcap.neck.training.study import NeckTrainingSettings
 from headcap.neck.voice.training import Voice, VoiceTrainingSettings
@@ -132,6 +134,8 @@ class _Training(_Settings):
 
     train_expressions: PoseExpressionSettings = PoseExpressionSettings()
     train_neck: NeckTrainingSettings = NeckTrainingSettings()
+    track_monocular: MonocularSettings = MonocularSettings()
+    train_lips: LipTrainingSettings = LipTrainingSettings()
 
 
 class Session(_Training):
@@ -163,6 +167,9 @@ class Session(_Training):
     track: TrackSettings = TrackSettings()
     train_speech: VoiceTrainingSettings | None = Field(
         default=VoiceTrainingSettings(), description="null: speech takes have no sound, and no regressor is trained."
+    )
+    lip_camera: Name | None = Field(
+        default=None, description="Camera that stands for a single video where lips are learnt; by default the most frontal one."
     )
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
@@ -207,6 +214,7 @@ class MeshTake(_Settings):
     kind: TakeKind = Field(description="What the subject does.")
     sequence: str = Field(description="Mesh sequence (JSON) in the base head's topology.")
     sound: str | None = Field(default=None, description="Recording of the voice; its clock is the sequence's.")
+    video: str | None = Field(default=None, description="What one camera saw of the take; its clock is the sequence's.")
     larynx: str | None = Field(default=None, description="True height of the larynx, npz: time_s, larynx_dy_m.")
 
 
@@ -215,6 +223,7 @@ class MeshSubject(_Settings):
 
     subject: Name = Field(description="Name of the person; what is rehearsed goes to results/<subject>.")
     template: str = Field(description="The person's neutral head (npz), in the base head's topology.")
+    camera: str | None = Field(default=None, description="The camera of the videos (JSON), in the sequences' world.")
     takes: tuple[MeshTake, ...] = Field(min_length=1, description="The takes.")
     limits: dict[str, float] = Field(default_factory=dict, description="Limits of this person's figures.")
     rehearse_meshes: MeshRehearsalSettings | None = Field(

@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from headcap.artifacts import load_json, save_json
+from headcap.calibration import result as calibration
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
+from headcap.meshes.normals import vertex_normals
 from headcap.recordings.takes import IngestedTake
 from headcap.recordings.video import Image, VideoFrames
+from headcap.registration.template import Template
 from headcap.sync.offsets import TimeOffsets
 from headcap.sync.timeline import TakeTimeline, open_take
 
@@ -26,6 +30,7 @@ class Clip:
     """(f,) rising."""
     open_pictures: Callable[[], Iterator[Image]]
     """Begins anew with each call: f pictures (height, width, 3) uint8 BGR."""
+    focal_known: bool = True
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -80,12 +85,33 @@ def rig_clip(camera: Camera, take: IngestedTake, offsets: TimeOffsets, timeline:
     return Clip(camera, time_s, pictures)
 
 
-def frontal_camera(rig: Rig, neutral: NDArray, face: NDArray[np.bool_], normals: NDArray) -> str:
-    """Name of the camera that looks most nearly along the face's mean normal at a head (n, 3) in the rig's world.
+def frontal_camera(rig: Rig, start: Template) -> str:
+    """Name of the camera that looks most nearly along the face's mean normal at a head in the rig's world.
 
-    `face` (n,) and `normals` (n, 3) tell where the face is and which way it looks. The paper takes "one of the frontal cameras"
-    (section 3.2).
+    The paper takes "one of the frontal cameras" (section 3.2).
     """
-    middle, out = neutral[face].mean(axis=0), normals[face].mean(axis=0)
-    ways = {camera.name: camera.centre - middle for camera in rig.cameras}
+    face = start.regions["face"]
+    middle = start.vertices[face].mean(axis=0)
+    out = vertex_normals(start.vertices, start.triangles)[face].mean(axis=0)
+    ways = {camera.name: camera.centre - middle for camera in rig}
     return max(ways, key=lambda name: float(ways[name] @ out / np.linalg.norm(ways[name])))
+
+
+def save_cameras(path: Path | str, rig: Rig) -> None:
+    """Write cameras whose calibration is not known as JSON artifact `headcap.rig/1`."""
+    unknown = {"figures": {}, "camera_figures": [], "heldout_poses": 0, "poses": []}
+    save_json(path, calibration.KIND, calibration.SCHEMA, rig.to_json() | unknown)
+
+
+def load_camera(path: Path | str, name: str | None = None) -> Camera:
+    """A camera of a rig's file (`headcap.rig/1`), by name where there are several; raises `ArtifactError`, `InputError`."""
+    rig = Rig.from_json(load_json(path, calibration.KIND, calibration.SCHEMA))
+    if name is None and len(rig) == 1:
+        return rig[0]
+    if name not in rig.names:
+        raise InputError(
+            f"{path} has cameras {', '.join(rig.names)}; asked for {name or 'no name'}",
+            expected="one of its cameras",
+            remedy="Name the camera that took the video.",
+        )
+    return rig[name]

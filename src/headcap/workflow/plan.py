@@ -20,6 +20,9 @@ from headcap.workflow.validation import KeyedInputError, validate
 
 REHEARSALS = "results/{session}/rehearse"
 MESH_REHEARSALS = "results/{subject}/rehearse_meshes"
+LIP_KINDS = ("lips", "speech", "expression", "free")
+"""Kinds of takes that a lip regressor learns from, where somebody performs lips at all."""
+_TAKE_FILES = ("sequence", "sound", "larynx", "video")
 SPOKEN_KINDS = ("speech", "free")
 """Kinds of rehearsed takes in which something is said."""
 
@@ -77,6 +80,20 @@ class Plan:
         """Regressors to train by name: each speaking person's own, and the groups'."""
         own = {name: Voice(name=name, people=(name,)) for name in self.training if self.heard(name)}
         return (own | {group.name: group for group in self.study.groups}) if self.neck_people else {}
+
+    def filmed(self, person: str, *kinds: str) -> tuple[str, ...]:
+        """Takes of a person that one camera can be asked about: those of sessions, and those of mesh subjects with a video."""
+        names = self.takes(person, *(kinds or LIP_KINDS))
+        if person in self.sessions:
+            return tuple(names)
+        return tuple(name for name in names if self.meshes[person].take(name).video)
+
+    @property
+    def lip_people(self) -> tuple[str, ...]:
+        """Everybody who is filmed, where somebody who trains performs lips; nobody else."""
+        if not any(self.filmed(name, "lips") for name in self.training):
+            return ()
+        return tuple(name for name in self.people if self.filmed(name))
 
     def limits(self, person: str) -> dict[str, float]:
         """Limits of a person's figures."""
@@ -141,6 +158,8 @@ def study_disagreements(plan: Plan) -> Iterator[str]:
         takes = [take.name for take in subject.takes]
         yield from (f"{subject.subject}: take {name} is named twice" for name in sorted({n for n in takes if takes.count(n) > 1}))
         unknown = sorted(set(subject.limits) - known_figures())
+        if subject.camera is None and any(take.video for take in subject.takes):
+            yield f"{subject.subject}: takes have videos, but camera names none that took them"
         yield from (f"{subject.subject}, limits: no figure is called {name}" for name in unknown)
 
 
@@ -151,7 +170,8 @@ def _missing_mesh_files(study: Study) -> list[InputError]:
         if subject.rehearse_meshes is None
         for key, path in (
             ("template", subject.template),
-            *((f"{take.name}.{key}", getattr(take, key)) for take in subject.takes for key in ("sequence", "sound", "larynx")),
+            ("camera", subject.camera),
+            *((f"{take.name}.{key}", getattr(take, key)) for take in subject.takes for key in _TAKE_FILES),
         )
     ]
     return [
@@ -194,10 +214,12 @@ def rehearsed_meshes(rehearsal: MeshRehearsalSettings, name: str) -> dict[str, A
             "sequence": f"{folder}/{take.name}.json",
             "sound": f"{folder}/{take.name}.wav" if take.kind in SPOKEN_KINDS else None,
             "larynx": f"{folder}/{take.name}.larynx.npz",
+            "video": f"{folder}/{take.name}.mp4" if rehearsal.video else None,
         }
         for take in rehearsal.takes
     ]
-    return {"template": f"{folder}/template.npz", "takes": takes}
+    camera = f"{folder}/camera.json" if rehearsal.video else None
+    return {"template": f"{folder}/template.npz", "camera": camera, "takes": takes}
 
 
 def load_rehearsal(document: dict[str, Any]) -> RehearsalSettings:
