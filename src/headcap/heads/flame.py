@@ -74,6 +74,20 @@ def load_flame(
     return model.astype(np.float32)
 
 
+def flame_root(path: Path | str, shape: NDArray, settings: FlameSettings | None = None) -> NDArray[np.float64]:
+    """(3,) metres: the root joint J_0 of a FLAME file for beta (s,), about which FLAME's global rotation turns the whole head.
+
+    `load_flame` leaves it out, since a placement takes its part: v = R (v - J_0) + J_0 + t (Li et al. 2017, eq. 2 and 3). Raises
+    `InputError` where the file is no FLAME model.
+    """
+    path, settings = Path(path), settings or FlameSettings()
+    arrays = _read(path)
+    _check(arrays, path, settings)
+    directions = np.asarray(arrays["shapedirs"], np.float64)[..., : min(len(shape), settings.first_expression)]
+    neutral = np.asarray(arrays["v_template"], np.float64) + directions @ np.asarray(shape, np.float64)[: directions.shape[-1]]
+    return np.asarray(arrays["J_regressor"], np.float64)[_ROOT] @ neutral
+
+
 def _read(path: Path) -> dict[str, NDArray]:
     if not path.is_file():
         raise InputError(f"no file {path}", expected="a FLAME file", remedy="FLAME is licensed: download it from its site.")

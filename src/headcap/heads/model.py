@@ -150,9 +150,8 @@ class HeadModel:
         if shape is None:
             return self.vertices
         shape = self._vector(shape, len(self.shape_basis), "shape")
-        flat = shape.reshape(-1, shape.shape[-1]) @ self.shape_basis[: shape.shape[-1]].reshape(
-            shape.shape[-1], self.vertices.size
-        )
+        count = shape.shape[-1]
+        flat = shape.reshape(_count(shape.shape[:-1]), count) @ self.shape_basis[:count].reshape(count, self.vertices.size)
         return flat.reshape((*shape.shape[:-1], *self.vertices.shape)) + self.vertices
 
     def joints(self, identity: NDArray | None = None) -> NDArray:

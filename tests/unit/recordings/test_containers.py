@@ -54,7 +54,7 @@ def _add_sound(container, voice, k: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "name, written",
+    ("name", "written"),
     [
         ("program_stream.mpg", {"codec": "mpeg1video", "sound": "mp2"}),
         ("program_stream_with_b.mpg", {"codec": "mpeg1video", "bframes": 2, "sound": "mp2"}),
