@@ -85,6 +85,26 @@ def rig_clip(camera: Camera, take: IngestedTake, offsets: TimeOffsets, timeline:
     return Clip(camera, time_s, pictures)
 
 
+@dataclass(frozen=True)
+class ClipFiles:
+    """Where a clip lies: a video with its camera, or a take of a rig with one of its cameras."""
+
+    camera: Path
+    """One camera, as `save_cameras` writes it."""
+    video: Path | None = None
+    ingested: Path | None = None
+    offsets: Path | None = None
+    timeline: Path | None = None
+
+    def open(self) -> Clip:
+        """The clip; raises `InputError` as `video_clip` and `rig_clip`, and `ArtifactError`."""
+        camera = load_camera(self.camera)
+        if self.video is not None:
+            return video_clip(self.video, camera)
+        take = IngestedTake.load(self.ingested)
+        return rig_clip(camera, take, TimeOffsets.load(self.offsets), TakeTimeline.load(self.timeline))
+
+
 def frontal_camera(rig: Rig, start: Template) -> str:
     """Name of the camera that looks most nearly along the face's mean normal at a head in the rig's world.
 

@@ -1,33 +1,41 @@
-"""Regressors of a study's lips: whom and what each is trained on (lip paper, sections 5.2 and 6)."""
+"""Regressors of a study's lips: whom and what each is trained on, and what it does for a person (lip paper, sections 5.2 and 6)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from headcap.lips.correction import Identity
-from headcap.lips.examples import LipExample, resting_distances
+from headcap.lips.artifact import LipRegressor
+from headcap.lips.contours.settings import ContourSettings, SearchSettings
+from headcap.lips.features import LipFeatures
 from headcap.lips.mouth import MouthSettings
-from headcap.lips.regression import Inputs, RegressionSettings
+from headcap.lips.people import LipPerson
+from headcap.lips.regression import Inputs, LipTake, RegressionSettings, train_regression
+from headcap.lips.takes import MouthSpace, SeenTake, resting_distances
+
+GENERIC, SEVERAL = "generic", "several"
 
 
 class LipTrainingSettings(BaseModel):
-    """Training lip regressors on a study's people."""
+    """Training contour detector and lip regressors on a study's people."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     test_takes: tuple[str, ...] = Field(
-        default=(),
-        description="Takes of these names test regressors of people who train others; only GR for strangers learns them.",
+        default=(), description="Takes of these names test what people's own regressors and their common one learnt from the rest."
     )
+    pictures_per_take: int = Field(
+        12, ge=1, description="Frames of each training take that the contour detector learns from, evenly spread"
+    )
+    contours: ContourSettings = ContourSettings()
+    search: SearchSettings = SearchSettings()
     mouth: MouthSettings = MouthSettings()
     regression: RegressionSettings = RegressionSettings()
-    anchored: bool = Field(default=True, description="Contour distances count from the person's own at rest.")
-    compensate_rotation: bool = Field(default=True, description="Contour distances are taken on the head, not in the picture.")
 
 
 @dataclass(frozen=True)
@@ -35,52 +43,95 @@ class RegressorPlan:
     """One regressor of a study."""
 
     name: str
+    relation: Literal["PS", "MS", "GR"]
     people: tuple[str, ...]
     """Whom it is trained on."""
-    all_takes: bool = False
-    """Whether test takes train it too: where those whom it is tested on are none of its people."""
-    kind: str = "rbf"
+    kind: Literal["rbf", "affine"] = "rbf"
     inputs: Inputs = "combined"
 
     @property
-    def settings(self) -> dict[str, str]:
-        """What differs from the study's regression settings."""
-        persons = {"leave_out": "persons"} if len(self.people) > 2 else {}
-        return {"kind": self.kind, "inputs": self.inputs} | persons
+    def method(self) -> str:
+        """What tables call it: its relation to those it is tested on, with a word of what is changed."""
+        words = ("affine",) if self.kind == "affine" else () if self.inputs == "combined" else (self.inputs,)
+        return " ".join((self.relation, *words))
 
-    @property
-    def identity(self) -> Identity:
-        """D_0 of eq. 1: a stranger's neutral mouth is only known as the base tracker sees it, see `CorrectionLayer`."""
-        return "kept" if self.all_takes else "corrected"
+    def settings(self, common: RegressionSettings) -> RegressionSettings:
+        """The study's regression settings with what is this one's own."""
+        leave_out = "persons" if self.relation == "GR" and len(self.people) > 1 else "takes"
+        return common.model_copy(update={"kind": self.kind, "inputs": self.inputs, "leave_out": leave_out})
+
+    def tests(self, person: str) -> bool:
+        """Whether a person's takes test it."""
+        return person not in self.people if self.relation == "GR" else person in self.people
 
 
 def planned_regressors(people: Sequence[str]) -> tuple[RegressorPlan, ...]:
     """Regressors of people who train: GR for strangers with its baselines, MS of them all, PS of each (section 6).
 
-    Baselines are the affine regressor, and features of one kind alone (tables 2 and 3).
+    Baselines are the affine regressor and features of one kind alone (tables 2 and 3, figure 16).
     """
     everybody = tuple(people)
     generic = [
-        RegressorPlan("generic", everybody, all_takes=True),
-        RegressorPlan("generic_affine", everybody, all_takes=True, kind="affine"),
-        RegressorPlan("generic_shape", everybody, all_takes=True, inputs="shape"),
-        RegressorPlan("generic_distances", everybody, all_takes=True, inputs="distances"),
+        RegressorPlan(GENERIC, "GR", everybody),
+        RegressorPlan(f"{GENERIC}_affine", "GR", everybody, kind="affine"),
+        RegressorPlan(f"{GENERIC}_shape", "GR", everybody, inputs="shape"),
+        RegressorPlan(f"{GENERIC}_distances", "GR", everybody, inputs="distances"),
     ]
-    several = [RegressorPlan("several", everybody)] if len(people) > 1 else []
-    return (*generic, *several, *(RegressorPlan(f"of_{name}", (name,)) for name in people))
+    several = [RegressorPlan(SEVERAL, "MS", everybody)] if len(people) > 1 else []
+    return (*generic, *several, *(RegressorPlan(f"of_{name}", "PS", (name,)) for name in people))
 
 
-@dataclass(frozen=True, eq=False)
-class LipPerson:
-    """One person's takes with their truth."""
+def train_lips(
+    space: MouthSpace, people: Sequence[LipPerson], plan: RegressorPlan, settings: LipTrainingSettings
+) -> LipRegressor:
+    """One regressor of a study; raises `InputError` for too few frames.
 
-    name: str
-    neutral: NDArray[np.float64]
-    """H_0 (n, 3) metres, at rest."""
-    examples: Mapping[str, LipExample]
-    truth: Mapping[str, NDArray]
-    """H_f (f, n, 3) of the same frames by take, metres, in any frame; may be memory maps."""
+    GR learns from all takes of its people, as strangers are seen: on the neutral head that the base tracker believes in. MS and PS
+    leave out test takes, and put the person's true neutral head in first (`SeenTake.known`), which the rig has measured.
+    """
+    chosen = [person for person in people if person.name in plan.people]
+    left_out = () if plan.relation == "GR" else settings.test_takes
+    takes = [take for person in chosen for take in _training_takes(person, plan, left_out)]
+    regression = train_regression(takes, plan.settings(settings.regression))
+    return LipRegressor(
+        model_version=space.model.digest,
+        topology=space.model.topology_digest,
+        persons=plan.people,
+        settings=plan.settings(settings.regression),
+        mouth_settings=settings.mouth,
+        layer=space.mouth.layer,
+        identity="kept",
+        anchored=True,
+        compensate_rotation=True,
+        space=space.features,
+        regression=regression,
+    )
 
-    def rest(self) -> NDArray[np.float64]:
-        """(20,) contour distances at rest, over all takes."""
-        return resting_distances(list(self.examples.values()))
+
+def as_seen_by(plan: RegressorPlan, person: LipPerson) -> dict[str, SeenTake]:
+    """A person's takes as a regressor sees them, by name: with the true neutral head where it knows the person."""
+    takes = {name: take.seen for name, take in person.takes.items()}
+    if plan.relation == "GR":
+        return takes
+    return {name: seen.known(person.neutral) for name, seen in takes.items()}
+
+
+def anchored_features(takes: Mapping[str, SeenTake]) -> dict[str, LipFeatures]:
+    """Features of a person's takes, distances as they differ from those at rest in all of the takes."""
+    rest = resting_distances(list(takes.values()))
+    return {name: seen.features.anchored(rest) for name, seen in takes.items()}
+
+
+def regressed(regressor: LipRegressor, takes: Mapping[str, SeenTake]) -> dict[str, NDArray[np.float32]]:
+    """l (f, T, 9) of a person's takes by name; NaN where a frame tells none."""
+    return {name: regressor.parameters(features) for name, features in anchored_features(takes).items()}
+
+
+def _training_takes(person: LipPerson, plan: RegressorPlan, left_out: Sequence[str]) -> list[LipTake]:
+    seen = as_seen_by(plan, person)
+    features = anchored_features(seen)
+    return [
+        LipTake(person.name, name, features[name], seen[name].parameters(person.neutral, take.true_meshes()))
+        for name, take in person.takes.items()
+        if name not in left_out
+    ]

@@ -1,9 +1,9 @@
-"""Takes of a person as a lip regressor sees them: the base track in its canonical frame, features, corrections where truth is known."""
+"""Takes as a lip regressor sees them: the base track in its canonical frame, its contours, and what can be made of the two."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.heads import HeadCoefficients, HeadModel
-from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, Identity, canonical_meshes
-from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, lip_features
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, canonical_meshes, canonical_truth
+from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, border_in_picture, lip_features
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
 
@@ -39,7 +39,7 @@ class MouthSpace:
 
 
 @dataclass(frozen=True, eq=False)
-class LipExample:
+class SeenTake:
     """One take of f frames of one person."""
 
     space: MouthSpace
@@ -60,7 +60,7 @@ class LipExample:
         contours: Sequence[LipContours | None],
         *,
         compensate_rotation: bool = True,
-    ) -> LipExample:
+    ) -> SeenTake:
         """Of a base track; C_0 is the tracked identity at rest, which the paper has in the first frame (section 4.2).
 
         Raises `InputError` for a track of another head model or another number of contours.
@@ -87,22 +87,45 @@ class LipExample:
             compensate_rotation=self.compensate_rotation,
         )
 
-    def layer(self, identity: Identity) -> CorrectionLayer:
-        """The correction layer on this take's neutral."""
-        return CorrectionLayer(self.space.mouth, self.neutral, identity)
+    def layer(self) -> CorrectionLayer:
+        """The correction layer on this take's neutral, of expression alone: who the person is stays as the tracker believes."""
+        return CorrectionLayer(self.space.mouth, self.neutral, "kept")
 
-    def parameters(self, identity: Identity, truth_neutral: NDArray, truth: NDArray) -> NDArray[np.float32]:
+    def parameters(self, truth_neutral: NDArray, truth: NDArray) -> NDArray[np.float32]:
         """l_f of eq. 1 (f, T, 9) against true meshes (f, n, 3) with their neutral (n, 3)."""
-        return self.layer(identity).parameters(self.base.meshes, truth_neutral, truth)
+        return self.layer().parameters(self.base.meshes, truth_neutral, truth)
+
+    def known(self, truth_neutral: NDArray) -> SeenTake:
+        """The same take of somebody whose true neutral head (n, 3) is known from the rig: D_0 of eq. 1 put in beforehand.
+
+        What the tracker's neutral head lacks is added to every frame, so that the layer need not learn who somebody is; the
+        scale stays the tracker's, which one camera cannot tell.
+        """
+        true, _ = canonical_truth(truth_neutral, self.neutral, self.space.mouth.steady)
+        moved = replace(self.base, meshes=self.base.meshes + (true - self.neutral))
+        return replace(self, base=moved, neutral=true, contours=self.contours)
+
+    def corrected(self, parameters: NDArray, held: float | None = None) -> NDArray[np.float64]:
+        """Meshes (f, n, 3) in the world with the layer (f, T, 9) put in; NaN where a frame tells none.
+
+        With `held`, the weight of the outer contour as a constraint (section 8), the lips' border is drawn to it.
+        """
+        layer, border = self.layer(), None
+        found = layer.corrected(self.base.meshes, parameters)
+        if held is not None:
+            there = CanonicalMeshes(found, self.base.world_from_canonical)
+            border = border_in_picture(self.space.features, there, self.camera, self.contours, held)
+            found = layer.corrected(self.base.meshes, parameters, border)
+        return self.base.world(found)
 
 
-def resting_distances(examples: Sequence[LipExample]) -> NDArray[np.float64]:
+def resting_distances(takes: Sequence[SeenTake]) -> NDArray[np.float64]:
     """(20,) contour distances of a person at rest: the median over those frames of their takes that show least expression.
 
     The paper's distances are absolute; see `LipFeatures.anchored`. NaN where no frame has contours.
     """
-    shape = np.concatenate([example.features.shape for example in examples])
-    distances = np.concatenate([example.features.distances for example in examples])
+    shape = np.concatenate([take.features.shape for take in takes])
+    distances = np.concatenate([take.features.distances for take in takes])
     told = np.isfinite(shape).all(axis=1) & np.isfinite(distances).all(axis=1)
     if not told.any():
         return np.full(distances.shape[1], np.nan)

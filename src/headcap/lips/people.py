@@ -1,0 +1,109 @@
+"""The people of a study as files: what one camera made of their takes, and what is true of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.errors import InputError
+from headcap.lips.clips import ClipFiles, load_camera
+from headcap.lips.contours import ContourSequence
+from headcap.lips.monocular import MonocularTrack
+from headcap.lips.takes import MouthSpace, SeenTake
+from headcap.registration.sequence import MeshSequence
+from headcap.registration.template import Template
+
+_SAME_MOMENT_S = 1e-6
+
+
+@dataclass(frozen=True)
+class LipTakeFiles:
+    """One take."""
+
+    name: str
+    kind: str
+    """What the person does: lips, speech, expression or free."""
+    clip: ClipFiles
+    track: Path
+    """Of the base tracker."""
+    contours: Path
+    sequence: Path
+    """True meshes."""
+
+
+@dataclass(frozen=True)
+class LipPersonFiles:
+    """One person."""
+
+    name: str
+    template: Path
+    """The true neutral head."""
+    takes: tuple[LipTakeFiles, ...]
+
+    def load(self, space: MouthSpace, contours: bool = True) -> LipPerson:
+        """All takes; without `contours` as if none had been found.
+
+        Raises `InputError` for heads of another topology and takes whose moments differ, and `ArtifactError`.
+        """
+        neutral = Template.load(self.template).vertices
+        if neutral.shape != space.model.vertices.shape:
+            raise InputError(
+                f"{self.name}: a template of {len(neutral)} vertices",
+                expected=f"the {len(space.model.vertices)} of {space.model.name}",
+                remedy="Register the scan with this version's base head.",
+            )
+        return LipPerson(self.name, neutral, {files.name: _load_take(files, space, contours) for files in self.takes})
+
+
+@dataclass(frozen=True, eq=False)
+class LipPersonTake:
+    """One take and its truth."""
+
+    kind: str
+    seen: SeenTake
+    time_s: NDArray[np.float64]
+    """(f,)"""
+    sequence: MeshSequence
+    frames: NDArray[np.int64]
+    """(f,) of the sequence that show the same moments."""
+
+    def truth(self) -> Iterator[NDArray[np.float32]]:
+        """True meshes (n, 3), metres, in the sequence's world, frame by frame from memory maps."""
+        parts = [np.load(chunk, mmap_mode="r") for chunk in self.sequence.chunks]
+        ends = np.cumsum([len(part) for part in parts])
+        for frame in self.frames:
+            part = int(np.searchsorted(ends, frame, side="right"))
+            yield parts[part][frame - ends[part]]
+
+    def true_meshes(self) -> NDArray[np.float32]:
+        """All of them, (f, n, 3)."""
+        return np.stack(list(self.truth()))
+
+
+@dataclass(frozen=True, eq=False)
+class LipPerson:
+    """One person's takes."""
+
+    name: str
+    neutral: NDArray[np.float64]
+    """H_0 (n, 3) metres."""
+    takes: dict[str, LipPersonTake]
+
+
+def _load_take(files: LipTakeFiles, space: MouthSpace, contours: bool) -> LipPersonTake:
+    track, sequence = MonocularTrack.load(files.track), MeshSequence.load(files.sequence)
+    rings = ContourSequence.load(files.contours).contours() if contours else [None] * len(track)
+    frames = np.clip(np.searchsorted(sequence.time_s, track.time_s - _SAME_MOMENT_S), 0, len(sequence) - 1)
+    away = np.abs(sequence.time_s[frames] - track.time_s)
+    if (away > _SAME_MOMENT_S).any():
+        raise InputError(
+            f"{files.name}: {int((away > _SAME_MOMENT_S).sum())} frames of the video show moments that have no mesh",
+            expected="a mesh for each frame, at the same moment",
+            remedy="Give the meshes the video's times.",
+        )
+    seen = SeenTake.of(space, track, load_camera(files.clip.camera), rings)
+    return LipPersonTake(files.kind, seen, track.time_s, sequence, frames)
