@@ -7,62 +7,75 @@ docstrings and layout do not count: the digest is taken of the syntax tree.
 
 import ast
 import hashlib
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 PACKAGE = "headcap"
 _PACKAGE_ROOT = Path(__file__).parents[1]
+_BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
+"""Where a statement holds others."""
 
 
 def source_digest(script: Path | str) -> str:
     """Hexadecimal digest of a script and of the package's modules it reaches; raises FileNotFoundError."""
-    script = Path(script)
-    digest = hashlib.sha256(_code_digest(script, script.stat().st_mtime_ns).encode())
+    digest = hashlib.sha256(_code(Path(script)).digest.encode())
     for module in sorted(reached_modules(script)):
-        digest.update(f"{module}:{_module_digest(module)}".encode())
+        digest.update(f"{module}:{_code(_module_file(module)).digest}".encode())
     return digest.hexdigest()[:16]
 
 
 def reached_modules(script: Path | str) -> set[str]:
     """Names of the package's modules that a script imports, transitively, imports inside functions included."""
-    waiting, reached = _imports(Path(script)), set()
+    waiting, reached = set(_modules(_code(Path(script)).imports)), set()
     while waiting:
         module = waiting.pop()
         if module not in reached:
             reached.add(module)
-            waiting |= _module_imports(module) - reached
+            waiting |= _modules(_code(_module_file(module)).imports) - reached
     return reached
 
 
-@cache
-def _module_file(module: str) -> Path | None:
-    path = _PACKAGE_ROOT.joinpath(*module.split(".")[1:])
-    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
-        if candidate.is_file():
-            return candidate
-    return None
+class _Code(NamedTuple):
+    digest: str
+    imports: frozenset[str]
+    """Names as imported, members among them."""
+
+
+def _code(path: Path) -> _Code:
+    return _read_code(path, path.stat().st_mtime_ns)
 
 
 @cache
-def _module_imports(module: str) -> set[str]:
-    return _imports(_module_file(module))
-
-
-@cache
-def _module_digest(module: str) -> str:
-    file = _module_file(module)
-    return _code_digest(file, file.stat().st_mtime_ns)
-
-
-def _imports(path: Path) -> set[str]:
-    found: set[str] = set()
-    for node in ast.walk(_tree(path, path.stat().st_mtime_ns)):
+def _read_code(path: Path, _modified_ns: int) -> _Code:
+    """Of a file as it was at a time. The tree is not kept: hundreds of them would slow down whatever comes after."""
+    tree = ast.parse(path.read_text())
+    imports: set[str] = set()
+    for node in (tree, *_statements(tree)):
         if isinstance(node, ast.Import):
-            found.update(alias.name for alias in node.names)
+            imports.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            # `from headcap.cameras import rig` may name a module or a member: both are tried below
-            found.update([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
-    return {part for name in found if name.split(".")[0] == PACKAGE for part in _with_parents(name) if _module_file(part)}
+            # `from headcap.cameras import rig` may name a module or a member: both are tried later
+            imports.update([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
+        elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = [statement for statement in node.body if not _is_docstring(statement)] or [ast.Pass()]
+    own = frozenset(name for name in imports if name.split(".")[0] == PACKAGE)
+    return _Code(hashlib.sha256(ast.dump(tree).encode()).hexdigest(), own)
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """All below a module or statement; expressions, which are most of a tree, hold none."""
+    for block in _BLOCKS:
+        for child in getattr(node, block, ()):
+            yield child
+            yield from _statements(child)
+
+
+@cache
+def _modules(imports: frozenset[str]) -> frozenset[str]:
+    """Those of imported names that are modules of the package, and the packages they lie in."""
+    return frozenset(part for name in imports for part in _with_parents(name) if _module_file(part))
 
 
 def _with_parents(name: str) -> list[str]:
@@ -72,17 +85,12 @@ def _with_parents(name: str) -> list[str]:
 
 
 @cache
-def _tree(path: Path, _modified_ns: int) -> ast.Module:
-    return ast.parse(path.read_text())
-
-
-@cache
-def _code_digest(path: Path, _modified_ns: int) -> str:
-    tree = _tree(path, _modified_ns)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            node.body = [statement for statement in node.body if not _is_docstring(statement)] or [ast.Pass()]
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+def _module_file(module: str) -> Path | None:
+    path = _PACKAGE_ROOT.joinpath(*module.split(".")[1:])
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
 
 
 def _is_docstring(statement: ast.stmt) -> bool:

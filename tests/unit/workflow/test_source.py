@@ -51,7 +51,7 @@ def test_an_edit_of_a_module_reached_changes_the_digest(tmp_path: Path, monkeypa
     monkeypatch.setattr(source, "_PACKAGE_ROOT", package)
 
     def digest() -> str:
-        for cached in (source._module_file, source._module_imports, source._module_digest, source._code_digest):
+        for cached in (source._module_file, source._modules, source._read_code):
             cached.cache_clear()
         return source_digest(script)
 
@@ -60,5 +60,29 @@ def test_an_edit_of_a_module_reached_changes_the_digest(tmp_path: Path, monkeypa
         (package / "deep.py").write_text("VALUE = 2\n")
         assert digest() != before
     finally:
-        for cached in (source._module_file, source._module_imports, source._module_digest, source._code_digest):
+        for cached in (source._module_file, source._modules, source._read_code):
             cached.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "around",
+    [
+        "if 1:\n    {}",
+        "try:\n    pass\nexcept OSError:\n    {}",
+        "for _ in ():\n    pass\nelse:\n    {}",
+        "class A:\n    def run(self):\n        {}",
+    ],
+    ids=["if", "except", "else", "method"],
+)
+def test_imports_and_docstrings_are_found_wherever_they_stand(tmp_path: Path, around: str) -> None:
+    path = tmp_path / "stage.py"
+    path.write_text(around.format("from headcap.sync import offsets"))
+    assert "headcap.sync.offsets" in reached_modules(path)
+    inner = "class B:\n{0}    pass"
+    digests = []
+    for docstring in ("", '    """Says what it is."""\n'):
+        block = inner.format(docstring)
+        indent = around.split("\n")[-1].split("{")[0]
+        path.write_text(around.format(block.replace("\n", f"\n{indent}")))
+        digests.append(source_digest(path))
+    assert digests[0] == digests[1]
