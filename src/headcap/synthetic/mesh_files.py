@@ -15,11 +15,11 @@ from headcap.artifacts import atomic_path, save_json
 from headcap.calibration import result as calibration
 from headcap.cameras import Rig
 from headcap.heads.procedural import base_head
+from headcap.recordings.writer import write_video
 from headcap.registration.sequence import MeshSequence, save_chunk
 from headcap.synthetic.lighting import Lights
 from headcap.synthetic.mesh_pictures import look_of
 from headcap.synthetic.mesh_takes import MeshSubject, MeshTake, mesh_subject
-from headcap.synthetic.recording import write_recording
 from headcap.synthetic.render import Surface
 from headcap.synthetic.rig import SOUND_STREAM, build_camera, random_stream
 from headcap.synthetic.sensor import build_sensors
@@ -95,7 +95,8 @@ def film_take(
         for k in range(len(performed.meshes))
     )
     sound = spoken(performed, settings.seed, number, take.duration_s)
-    write_recording(path, pictures, sound.astype(np.float32), SOUND_RATE_HZ, _encoding(settings))
+    sound = sound.astype(np.float32)
+    write_video(path, pictures, camera.size, settings.rate_hz, crf=video.crf, sound=sound, sound_rate_hz=SOUND_RATE_HZ)
 
 
 def _encoding(settings: MeshRehearsalSettings) -> VideoSettings:

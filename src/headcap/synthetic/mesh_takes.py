@@ -2,6 +2,11 @@
 
 A study may take further subjects in this form. Their motion is `Subject`'s (arcs, a hinge, a spine of seven joints, a larynx that
 slides), in no model's class; what is left out is what only a camera sees: denser skin, eyeballs that turn, teeth, blinking lids.
+
+As true lips for training these meshes need no cleaning: gums and teeth, which the lips' paper masks out of its reconstructions
+(section 3.1), are in no mesh, lips never pass through each other, and the wall behind them is the region `mouth_interior`, which
+`lips.mouth.find_mouth` leaves out. The same region keeps gums out of tracked takes. What remains there are the lips' inner sides,
+a tenth of the vertices that correction and errors count: true here, and in tracked takes carried along where no camera sees them.
 """
 
 from __future__ import annotations

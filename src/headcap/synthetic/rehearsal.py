@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from headcap.artifacts import atomic_path
 from headcap.cameras import Rig
 from headcap.heads.procedural import base_head
+from headcap.recordings.writer import write_video
 from headcap.synthetic import truth
 from headcap.synthetic.board import BoardMotion, BoardPainter, wave_board
 from headcap.synthetic.crew import Piece, carry_out
 from headcap.synthetic.growth import grow_subject
 from headcap.synthetic.lighting import Lights
 from headcap.synthetic.performance import Performance, perform
-from headcap.synthetic.recording import write_recording
 from headcap.synthetic.rig import MOTION_STREAM, Clock, build_clocks, build_rig, random_stream
 from headcap.synthetic.scan import write_scan
 from headcap.synthetic.sensor import build_sensors
@@ -124,7 +124,11 @@ def rehearse_recording(settings: RehearsalSettings, recording: str, camera: str,
     sound = record(settings, sources, clock, rehearsal.rig[c].centre, samples, (index, c))
     frames = _board_frames(rehearsal, c) if recording == CALIBRATION else _take_frames(rehearsal, recording, c)
     exposed = _exposed(frames, rehearsal, index, c)
-    write_recording(Path(folder) / path, exposed, sound, settings.sound.rate_hz, settings.video)
+    video = settings.video
+    write_video(
+        Path(folder) / path, exposed, (video.width, video.height), video.rate_hz, crf=video.crf, sound=sound,
+        sound_rate_hz=settings.sound.rate_hz,
+    )  # fmt: skip
     return path
 
 

@@ -14,6 +14,7 @@ from headcap.synthetic.rehearsal import CALIBRATION, performance_of, plan, rehea
 from headcap.synthetic.settings import (
     ArcSettings,
     BoardSettings,
+    CameraSettings,
     ClockSettings,
     DroppedFrames,
     RehearsalSettings,
@@ -151,3 +152,27 @@ def test_a_rolling_shutter_reads_rows_later(tmp_path):
     difference = np.abs(rolled - whole).mean((1, 2, 3))
     assert difference[0] < 0.5
     assert difference[4] > 2 * difference[0] + 0.5
+
+
+def test_lips_are_tattooed_where_the_take_says_so(tmp_path):
+    """Without a word in takes of lips alone; at first the subject rests, so that ink is all that tells the takes apart."""
+    said = {"lips": None, "bare": False, "speech": None, "inked": True}
+    kinds = {"lips": "lips", "bare": "lips", "speech": "speech", "inked": "speech"}
+    settings = RehearsalSettings(
+        seed=7,
+        cameras=(CameraSettings(name="front", position_m=(0, -0.07, 0.7), look_at_m=(0, -0.07, 0.09), vertical_fov_deg=12),),
+        video=VideoSettings(width=96, height=96, rate_hz=5),
+        takes=tuple(TakeSettings(name=name, kind=kinds[name], duration_s=0.5, lip_tattoo=said[name]) for name in said),
+    )
+    first = {}
+    for name in said:
+        path = rehearse_recording(settings, name, "front", tmp_path)
+        first[name] = _read(tmp_path / path)[1][0].astype(float)
+
+    def apart(a, b):
+        return np.abs(first[a] - first[b])[24:72, 24:72].mean()
+
+    # noise and codec make one difference, ink the other
+    assert apart("lips", "inked") < 5
+    assert apart("bare", "speech") < 5
+    assert apart("lips", "bare") > 4 * max(apart("lips", "inked"), apart("bare", "speech"))

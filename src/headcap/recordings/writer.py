@@ -1,8 +1,8 @@
-"""Writing one camera's recording, H.264 and AAC in mp4, frame by frame."""
+"""Writing a recording, H.264 and where there is sound AAC, in mp4, frame by frame."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
@@ -11,27 +11,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.artifacts import atomic_path
-from headcap.synthetic.settings import VideoSettings
 
 _AUDIO_BLOCK = 1024
 _TICKS_PER_FRAME = 512
 
 
-def write_recording(
+def write_video(
     path: Path | str,
-    frames: Iterator[tuple[int, NDArray[np.uint8]]],
-    sound: NDArray[np.float32],
-    sound_rate_hz: int,
-    video: VideoSettings,
+    frames: Iterable[tuple[int, NDArray[np.uint8]]],
+    size: tuple[int, int],
+    rate_hz: float,
+    *,
+    crf: float = 13.0,
+    sound: NDArray[np.float32] | None = None,
+    sound_rate_hz: int = 48_000,
 ) -> None:
-    """Write frames (slot, RGB (height, width, 3)) and sound (n,) to an mp4.
+    """Write frames (slot, RGB (height, width, 3)) of `size` (width, height), both even, and sound (n,) to an mp4.
 
-    Slot k is presented at k / rate, missing slots are gaps. Only one frame is held at a time; the file appears whole or
-    not at all.
+    Slot k is presented at k / rate, missing slots are gaps. `crf` is H.264's quality, lower is better. Only one frame is held at
+    a time; the file appears whole or not at all.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
-        picture, track = _picture_stream(container, video), _sound_stream(container, sound_rate_hz)
-        blocks = _sound_blocks(sound, sound_rate_hz)
+        picture = _picture_stream(container, size, rate_hz, crf)
+        track = None if sound is None else _sound_stream(container, sound_rate_hz)
+        blocks = iter(()) if sound is None else _sound_blocks(sound, sound_rate_hz)
         for slot, image in frames:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24").reformat(format="yuv420p")
             frame.pts, frame.time_base = slot * _TICKS_PER_FRAME, picture.codec_context.time_base
@@ -39,21 +42,22 @@ def write_recording(
             # sound goes in beside the picture, so that players and readers need not seek
             for block in blocks:
                 container.mux(track.encode(block))
-                if block.pts > (slot + 1) * sound_rate_hz / video.rate_hz:
+                if block.pts > (slot + 1) * sound_rate_hz / rate_hz:
                     break
         for block in blocks:
             container.mux(track.encode(block))
         container.mux(picture.encode(None))
-        container.mux(track.encode(None))
+        if track is not None:
+            container.mux(track.encode(None))
 
 
-def _picture_stream(container: av.container.OutputContainer, video: VideoSettings) -> av.VideoStream:
-    rate = Fraction(video.rate_hz).limit_denominator(1001)
+def _picture_stream(container: av.container.OutputContainer, size: tuple[int, int], rate_hz: float, crf: float) -> av.VideoStream:
+    rate = Fraction(rate_hz).limit_denominator(1001)
     # one thread gives the same bits every time, and recordings are written side by side anyway; the macroblock tree is left
     # out because its floating-point part came out differently from run to run on a busy machine
-    options = {"crf": str(video.crf), "preset": "veryfast", "threads": "1", "x264-params": "mbtree=0:rc-lookahead=0"}
+    options = {"crf": str(crf), "preset": "veryfast", "threads": "1", "x264-params": "mbtree=0:rc-lookahead=0"}
     stream = container.add_stream("libx264", rate=rate, options=options)
-    stream.width, stream.height, stream.pix_fmt = video.width, video.height, "yuv420p"
+    stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
     stream.codec_context.time_base = Fraction(1, 1) / (rate * _TICKS_PER_FRAME)
     stream.codec_context.thread_count = 1
     return stream
