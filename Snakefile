@@ -31,6 +31,7 @@ wildcard_constraints:
     study=PLAN.name,
     session=one_of(PLAN.sessions),
     person=one_of(PLAN.people),
+    mesh_person=one_of(PLAN.meshes),
     voice=one_of(PLAN.voices),
     take="[A-Za-z0-9_-]+",
     recording="[A-Za-z0-9_-]+",
@@ -71,6 +72,13 @@ include: "rules/hear.smk"
 include: "rules/train_speech.smk"
 include: "rules/evaluate_neck.smk"
 include: "rules/report_neck.smk"
+include: "rules/track_monocular.smk"
+include: "rules/train_contours.smk"
+include: "rules/find_contours.smk"
+include: "rules/train_lips.smk"
+include: "rules/correct_lips.smk"
+include: "rules/evaluate_lips.smk"
+include: "rules/report_lips.smk"
 include: "rules/evaluate.smk"
 
 

@@ -8,9 +8,7 @@ from headcap.heads import procedural_model
 
 def run(*, model: Path) -> None:
     procedural_model().save(model)
-    write_manifest(
-        model, kind="head_model", stage="head_model", settings_digest=digest_settings(), inputs=[], figures={}
-    )
+    write_manifest(model, kind="head_model", stage="head_model", settings_digest=digest_settings(), inputs=[], figures={})
 
 
 if "snakemake" in globals():

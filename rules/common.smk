@@ -3,6 +3,7 @@ Functions of the rules: inputs and parameters that depend on the session file.
 There are no functions anywhere else in the workflow.
 """
 
+import dataclasses
 import math
 import os
 from pathlib import Path
@@ -507,12 +508,167 @@ def voice_errors(wildcards):
     return [f"{folder}/{name}.errors.json" for name in PLAN.voices]
 
 
+# ---- lips
+
+
+def mesh_video(wildcards):
+    return PLAN.meshes[wildcards.mesh_person].take(wildcards.take).video
+
+
+def mesh_camera(wildcards):
+    return PLAN.meshes[wildcards.mesh_person].camera
+
+
+def mesh_video_input(wildcards):
+    return mesh_inputs(
+        wildcards.mesh_person, [mesh_video(wildcards), mesh_camera(wildcards)]
+    )
+
+
+def lip_clip(person, take):
+    """Where what one camera saw of a take lies."""
+    camera = f"results/{PLAN.name}/track_monocular/{person}/{take}.camera.json"
+    if person in PLAN.sessions:
+        folder = f"results/{person}"
+        return {
+            "camera": camera,
+            "ingested": f"{folder}/ingest/{take}.json",
+            "offsets": f"{folder}/sync/{take}.json",
+            "timeline": f"{folder}/sync/{take}.timeline.json",
+        }
+    return {"camera": camera, "video": PLAN.meshes[person].take(take).video}
+
+
+def lip_clip_inputs(person, take):
+    files = [path for key, path in lip_clip(person, take).items() if key != "video"]
+    if person in PLAN.sessions:
+        return files
+    return files + mesh_inputs(person, [PLAN.meshes[person].take(take).video])
+
+
+def lip_person(person):
+    """Where a person's filmed takes lie, and what is true of them."""
+    known, folder = subject_files(person), f"results/{PLAN.name}"
+    # a scan is in a frame of its own, which no comparison minds
+    return {
+        "name": person,
+        "template": known["template"],
+        "takes": [
+            {
+                "name": take,
+                "kind": PLAN.takes(person)[take],
+                "clip": lip_clip(person, take),
+                "track": f"{folder}/track_monocular/{person}/{take}.npz",
+                "contours": f"{folder}/find_contours/{person}/{take}.npz",
+                "sequence": known["sequences"][take],
+            }
+            for take in PLAN.filmed(person)
+        ],
+    }
+
+
+def lip_person_inputs(person, contours=True):
+    """What makes these files."""
+    described = lip_person(person)
+    files = [*subject_inputs(person)]
+    for take in described["takes"]:
+        files += [take["track"], *lip_clip_inputs(person, take["name"])]
+        files += [take["contours"]] if contours else []
+    return files
+
+
+def lip_training_people():
+    return [name for name in PLAN.lip_people if name in PLAN.training]
+
+
+def take_clip(wildcards):
+    return lip_clip(wildcards.person, wildcards.take)
+
+
+def take_clip_inputs(wildcards):
+    return lip_clip_inputs(wildcards.person, wildcards.take)
+
+
+def lip_regressors(names):
+    return [f"results/{PLAN.name}/train_lips/{name}.npz" for name in names]
+
+
+def tested_plans(person):
+    """Regressors that a person's takes test, the one that a user gets first."""
+    return [plan for plan in PLAN.lip_regressors if plan.tests(person)]
+
+
+def lip_tested_files(person, suffix):
+    return [
+        f"results/{PLAN.name}/correct_lips/{person}/{take}{suffix}"
+        for take in PLAN.lip_tests(person)
+    ]
+
+
+def lip_learnt_from(person):
+    """Takes from which a person's own lip blendshapes are taken, where somebody trains."""
+    tests = PLAN.lip_tests(person)
+    if person not in PLAN.training:
+        return []
+    return [take for take in PLAN.filmed(person) if take not in tests]
+
+
+def described_plans(plans):
+    return [dataclasses.asdict(plan) for plan in plans]
+
+
+def lip_files(kind, suffix):
+    """Of every tested take."""
+    return [
+        f"results/{PLAN.name}/{kind}/{person}/{take}{suffix}"
+        for person in PLAN.lip_tested
+        for take in PLAN.lip_tests(person)
+    ]
+
+
+def lip_person_files(name):
+    """Of everybody whose takes are tested."""
+    return [
+        f"results/{PLAN.name}/correct_lips/{person}/{name}"
+        for person in PLAN.lip_tested
+    ]
+
+
+def all_lip_sheets(wildcards):
+    return [
+        f"results/{PLAN.name}/track_monocular/{person}/{take}.png"
+        for person in PLAN.lip_people
+        for take in PLAN.filmed(person)
+    ]
+
+
+def lip_roles(wildcards):
+    """What everybody whose takes are tested is to the study."""
+    return {
+        person: ("trained on" if person in PLAN.training else "held out")
+        + (
+            ", from recordings"
+            if person in PLAN.sessions
+            else ", as meshes and a video"
+        )
+        + f": {', '.join(PLAN.lip_tests(person))}"
+        for person in PLAN.lip_tested
+    }
+
+
 def study_parts(wildcards):
     """Files of figures that make up the study's."""
     necks = (
         [f"results/{PLAN.name}/evaluate_neck/figures.json"] if PLAN.neck_people else []
     )
-    return [*(f"results/{name}/metrics.json" for name in PLAN.sessions), *necks]
+    lips = (
+        [f"results/{PLAN.name}/evaluate_lips/figures.json"] if PLAN.lip_tested else []
+    )
+    return [
+        *(f"results/{name}/metrics.json" for name in PLAN.sessions),
+        *necks,
+        *lips,
+    ]
 
 
 def larynx_truths(wildcards):
@@ -550,5 +706,8 @@ def recorded_people(wildcards):
 
 def study_results():
     """What a study shows beside its sessions."""
-    necks = [f"results/{PLAN.name}/report_neck/neck.html"] if PLAN.neck_people else []
-    return necks if PLAN.is_session else [*necks, f"results/{PLAN.name}/metrics.json"]
+    folder = f"results/{PLAN.name}"
+    pages = [f"{folder}/report_neck/neck.html"] if PLAN.neck_people else []
+    pages += [f"{folder}/report_lips/lips.html"] if PLAN.lip_tested else []
+    pages += lip_regressors(["generic"]) if PLAN.lip_people else []
+    return pages if PLAN.is_session else [*pages, f"{folder}/metrics.json"]

@@ -27,7 +27,8 @@ class LipTrainingSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     test_takes: tuple[str, ...] = Field(
-        default=(), description="Takes of these names test what people's own regressors and their common one learnt from the rest."
+        default=(),
+        description="Takes of these names test what people's own regressors and their common one learnt from the rest.",
     )
     pictures_per_take: int = Field(
         12, ge=1, description="Frames of each training take that the contour detector learns from, evenly spread"

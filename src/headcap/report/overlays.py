@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,6 +13,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
+from headcap.artifacts import atomic_path
 from headcap.cameras import Camera
 from headcap.geometry.transforms import rigid
 from headcap.meshes.normals import vertex_normals
@@ -176,3 +178,15 @@ def png_uri(image: Image, colours: int = 128) -> str:
     stream = io.BytesIO()
     PillowImage.fromarray(image).quantize(colours, dither=PillowImage.Dither.NONE).save(stream, "png", optimize=True)
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def save_png(path: Path | str, image: Image) -> None:
+    """Write an image as PNG, whole or not at all."""
+    with atomic_path(path) as temporary:
+        PillowImage.fromarray(image).save(temporary, format="PNG", optimize=True)
+
+
+def load_image(path: Path | str) -> Image:
+    """Read a picture file."""
+    with PillowImage.open(path) as opened:
+        return np.asarray(opened.convert("RGB"))

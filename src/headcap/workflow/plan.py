@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from headcap.calibration.board import BoardSettings, read_board
 from headcap.errors import InputError, InputErrors
 from headcap.neck.voice.training import Voice
+from headcap.lips.training import RegressorPlan, planned_regressors
 from headcap.settings import MeshSubject, Session, Study, disagreements, known_figures, session_files
 from headcap.synthetic.settings import MeshRehearsalSettings, RehearsalSettings, TakeSettings
 from headcap.workflow.validation import KeyedInputError, validate
@@ -22,6 +23,7 @@ REHEARSALS = "results/{session}/rehearse"
 MESH_REHEARSALS = "results/{subject}/rehearse_meshes"
 LIP_KINDS = ("lips", "speech", "expression", "free")
 """Kinds of takes that a lip regressor learns from, where somebody performs lips at all."""
+_TRAINING = ("train_expressions", "train_neck", "train_speech", "track_monocular", "train_lips")
 _TAKE_FILES = ("sequence", "sound", "larynx", "video")
 SPOKEN_KINDS = ("speech", "free")
 """Kinds of rehearsed takes in which something is said."""
@@ -95,6 +97,22 @@ class Plan:
             return ()
         return tuple(name for name in self.people if self.filmed(name))
 
+    @property
+    def lip_tested(self) -> tuple[str, ...]:
+        """People whose takes test regressors of lips."""
+        return tuple(name for name in self.lip_people if self.lip_tests(name))
+
+    @property
+    def lip_regressors(self) -> tuple[RegressorPlan, ...]:
+        """Regressors of lips to train."""
+        return planned_regressors([name for name in self.lip_people if name in self.training])
+
+    def lip_tests(self, person: str) -> tuple[str, ...]:
+        """Filmed takes of a person that test regressors: all of somebody held out, else those that the study keeps for it."""
+        names = self.filmed(person)
+        kept = self.study.train_lips.test_takes
+        return names if person in self.study.held_out else tuple(name for name in names if name in kept)
+
     def limits(self, person: str) -> dict[str, float]:
         """Limits of a person's figures."""
         return (self.sessions.get(person) or self.meshes[person]).limits
@@ -116,7 +134,7 @@ def load_plan(document: dict[str, Any]) -> Plan:
     if "study" not in document and "sessions" not in document:
         session, errors = check_session(document)
         _refuse(errors)
-        trains = {key: getattr(session, key) for key in ("train_expressions", "train_neck", "train_speech")}
+        trains = {key: getattr(session, key) for key in _TRAINING}
         trains = {key: value for key, value in trains.items() if value is not None}
         return Plan(Study(study=session.session, sessions=(session.session,), **trains), {session.session: session})
     document, nested = _with_mesh_rehearsals(document)

@@ -38,4 +38,3 @@ def labelled_pictures(
 def spread_frames(frames: int, count: int) -> list[int]:
     """At most `count` frames of so many, evenly spread."""
     return sorted(set(np.linspace(0, frames - 1, min(count, frames)).round().astype(int).tolist()))
-

@@ -1,0 +1,59 @@
+"""One person's corrected lips as pictures: error maps, shapes side by side, gap and roll over time, and a video."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from headcap.evaluation.lip_errors import BASE, CONTOUR
+from headcap.evaluation.lips_person import JudgedTake
+from headcap.lips.correction import canonical_meshes
+from headcap.lips.people import LipPerson, LipTakeFiles
+from headcap.lips.takes import MouthSpace
+from headcap.report.figures import Image
+from headcap.report.lips_figures import gap_curves, roll_curves
+from headcap.report.lips_pictures import comparison, error_maps, side_by_side_frames, telling_frames, write_side_by_side
+from headcap.report.overlays import save_png
+
+_MOMENTS = 4
+
+
+def draw_person(
+    space: MouthSpace,
+    person: LipPerson,
+    judged: Mapping[str, JudgedTake],
+    method: str,
+    maps: Path,
+    shapes: Path,
+    curves: Path,
+) -> None:
+    """Write figures 15 (`maps`) and 14 (`shapes`) and curves over time of a person's first tested take, as PNG."""
+    take = next(iter(judged.values()))
+    shown = [name for name in (BASE, CONTOUR, method) if name in take.errors.methods]
+    save_png(maps, error_maps(take.errors, person.neutral, space.model.triangles, take.errors.methods[:5]))
+    moments = telling_frames(take.errors, _MOMENTS)
+    save_png(shapes, _shapes(space, take, [*shown, "truth"], moments))
+    both = [draw(take.errors, shown) for draw in (gap_curves, roll_curves)]
+    save_png(curves, np.concatenate(both))
+
+
+def write_comparison_video(space: MouthSpace, files: LipTakeFiles, take: JudgedTake, method: str, path: Path) -> None:
+    """Write the picture with the base over it, the corrected and the true mesh, side by side, as mp4."""
+    clip, times = files.clip.open(), take.errors.time_s
+    answered = take.sequences[BASE][np.isfinite(take.sequences[BASE]).all(axis=(1, 2))]
+    about = answered[:, space.mouth.vertices].reshape(-1, 3)[:: max(1, len(answered))]
+    photographs = (np.ascontiguousarray(picture[..., ::-1]) for picture in clip.pictures())
+    sequences = {name: take.sequences[name] for name in (BASE, method, "truth")}
+    frames = side_by_side_frames(photographs, clip.camera, space.model.triangles, sequences, about)
+    write_side_by_side(path, frames, float(1 / np.median(np.diff(times))) if len(times) > 1 else 25.0)
+
+
+def _shapes(space: MouthSpace, take: JudgedTake, names: list[str], moments: np.ndarray) -> Image:
+    neutral, steady = np.asarray(space.model.vertices, float), space.mouth.steady
+    rows = []
+    for frame in moments:
+        placed = {name: canonical_meshes(take.sequences[name][frame][None], neutral, steady).meshes[0] for name in names}
+        rows.append((f"{take.errors.time_s[frame]:.2f} s", placed))
+    return comparison(rows, space.model.triangles, space.mouth.vertices)
