@@ -22,6 +22,10 @@ KIND, SCHEMA = "lip_contours", 1
 _COARSE_STEP_PX, _FINE_STEP_PX = 1.0, 0.5
 _NORMALS_OVER = 3
 """Places before and after between which a chord tells a normal: about a sixteenth of the ring each way."""
+_REFINED_STEPS = 3
+"""Fine steps about the rims found in whole pixels."""
+_WIDER, _LEAST_WIDTH = 0.2, 0.7
+"""How far beyond the settled mouth's corners, in its widths, the line between the lips is followed; how much of it must show."""
 _BEYOND_PX = 1.5
 """How far over the outer contour a rim may seem to lie: rolled-in lips have both contours in one."""
 
@@ -71,6 +75,30 @@ class ContourSequence:
 
 
 @dataclass(frozen=True, eq=False)
+class Rims:
+    """The mouth's opening in a map: heights over stations of the line between the lips' corners."""
+
+    right: NDArray[np.float64]
+    across: NDArray[np.float64]
+    """(2,) unit."""
+    stations: NDArray[np.float64]
+    """(s,) along it, from `right`."""
+    upper: NDArray[np.float64]
+    """(s,) downwards; NaN where the mouth does not reach."""
+    lower: NDArray[np.float64]
+    odds: NDArray[np.float64]
+    """(s,) log-odds of the less likely rim."""
+
+    def ring(self) -> NDArray[np.float64]:
+        """(2 s, 2) over the upper rim and back over the lower one, evenly between the ends that were found."""
+        down, known = np.array([-self.across[1], self.across[0]]), np.isfinite(self.upper)
+        even = np.linspace(self.stations[known][0], self.stations[known][-1], len(self.stations))
+        rims = [np.interp(even, self.stations[known], rim[known]) for rim in (self.upper, self.lower)]
+        rows = [self.right + even[:, None] * self.across + rim[:, None] * down for rim in rims]
+        return np.concatenate([rows[0], rows[1][::-1]])
+
+
+@dataclass(frozen=True, eq=False)
 class ContourFinder:
     """Finds both contours near where a base tracker has the mouth."""
 
@@ -103,18 +131,16 @@ class ContourFinder:
         ring, outer_odds = self._outer(maps, start)
         sure_outer = float((outer_odds > 0).mean())
         rims = self._inner(maps, ring)
-        if rims is None:
-            return FoundContours(None, (sure_outer, 0.0))
-        inner, inner_odds = rims
-        sure = sure_outer, float((inner_odds > 0).mean())
-        if min(sure) < own.least_share:
+        sure = sure_outer, 0.0 if rims is None else float((rims.odds[np.isfinite(rims.upper)] > 0).mean())
+        if rims is None or min(sure) < own.least_share:
             return FoundContours(None, sure)
-        return FoundContours(LipContours(window.to_picture(ring), window.to_picture(inner)), sure)
+        return FoundContours(LipContours(window.to_picture(ring), window.to_picture(rims.ring())), sure)
 
     def _outer(self, maps: LikelihoodMaps, start: NDArray) -> tuple[NDArray, NDArray]:
         """The outer ring (k, 2) in the window, and its log-odds (k,)."""
         own, per_mm = self.settings, maps.window.pixels_per_mm
         half = settle_ring(maps.coarse["outer"], (start + 0.5) / 2 - 0.5, own.reach_mm * per_mm / 2)
+        half = self._widened(maps, half)
         normals = outward_normals(half, _NORMALS_OVER)
         ring, _ = search_ring(
             maps.coarse["outer"], half, normals, own.coarse_reach_mm * per_mm / 2, _COARSE_STEP_PX, own.stiffness
@@ -125,33 +151,49 @@ class ContourFinder:
             ring, odds = search_ring(maps.fine["outer"], ring, normals, own.fine_reach_mm * per_mm, _FINE_STEP_PX, own.stiffness)
         return ring, odds
 
-    def _inner(self, maps: LikelihoodMaps, outer: NDArray) -> tuple[NDArray, NDArray] | None:
-        """The inner ring (j, 2) in the window, and the log-odds (s,) of the stations that the mouth reaches."""
-        own, half = self.settings, len(outer) // 2
-        right, left = outer[0], outer[half]
+    def _widened(self, maps: LikelihoodMaps, ring: NDArray) -> NDArray[np.float64]:
+        """A ring (k, 2) in the coarse map, stretched so that its corners are where the line between the lips ends.
+
+        Towards the corners lips are thin and their border hardly shows, but the line between them does.
+        """
+        right, left = ring[0], ring[len(ring) // 2]
+        middle, wider = 0.5 * (right + left), 1 + 2 * _WIDER
+        rims = self._rims(maps.coarse["inner"], middle + wider * (ring - middle), _COARSE_STEP_PX)
+        if rims is None:
+            return ring
+        ends = rims.ring()[[0, len(rims.stations) - 1]]
+        width = np.linalg.norm(left - right)
+        if np.linalg.norm(ends[1] - ends[0]) < _LEAST_WIDTH * width:
+            return ring
+        share = ((ring - right) @ (left - right) / width**2)[:, None]
+        return ring + (1 - share) * (ends[0] - right) + share * (ends[1] - left)
+
+    def _inner(self, maps: LikelihoodMaps, outer: NDArray) -> Rims | None:
+        """The rims of the mouth within the outer ring (k, 2)."""
+        rims = self._rims(maps.fine["inner"], outer, 2 * _FINE_STEP_PX)
+        if rims is None:
+            return None
+        near = np.arange(-_REFINED_STEPS, _REFINED_STEPS + 1) * _FINE_STEP_PX
+        upper, lower = (_continued(rim) for rim in (rims.upper, rims.lower))
+        return self._rims(maps.fine["inner"], outer, _FINE_STEP_PX, (upper, lower, near)) or rims
+
+    def _rims(
+        self, likelihood: NDArray, outer: NDArray, step: float, near: tuple[NDArray, NDArray, NDArray] | None = None
+    ) -> Rims | None:
+        """Rims within an outer ring (k, 2) of a map: anywhere between its lips in steps, or near known ones."""
+        own, right, left = self.settings, outer[0], outer[len(outer) // 2]
         width = np.linalg.norm(left - right)
         across = (left - right) / max(width, 1e-9)
         stations = np.linspace(0, width, own.stations + 2)[1:-1]
         bounds = _bounds(outer, right, across, stations)
-        reach = np.ceil(np.abs(bounds).max() / 2)
-        middle = np.zeros(len(stations))
-        coarse = search_rims(
-            maps.coarse["inner"], (right + 0.5) / 2 - 0.5, across, stations / 2, middle, middle,
-            np.arange(-reach, reach + 1) * _COARSE_STEP_PX, bounds / 2, own.rim_stiffness,
-        )  # fmt: skip
-        if coarse is None:
+        if near is None:
+            middle = np.rint(bounds.mean(axis=1) / step) * step
+            reach = np.ceil(0.5 * np.ptp(bounds, axis=1).max() / step) + 1
+            near = middle, middle, np.arange(-reach, reach + 1) * step
+        found = search_rims(likelihood, right, across, stations, *near, bounds, own.rim_stiffness)
+        if found is None or np.isfinite(found[0]).sum() < 3:
             return None
-        near = own.fine_reach_mm * maps.window.pixels_per_mm
-        offsets = np.arange(-np.ceil(near / _FINE_STEP_PX), np.ceil(near / _FINE_STEP_PX) + 1) * _FINE_STEP_PX
-        upper, lower = (_continued(2 * rim) for rim in coarse[:2])
-        fine = search_rims(maps.fine["inner"], right, across, stations, upper, lower, offsets, bounds, own.rim_stiffness)
-        if fine is None:
-            return None
-        upper, lower, odds = fine
-        reached = np.isfinite(upper)
-        if reached.sum() < 3:
-            return None
-        return _rims_ring(right, across, stations, upper, lower), odds[reached]
+        return Rims(right, across, stations, *found)
 
 
 def find_contours(
@@ -206,15 +248,6 @@ def _continued(heights: NDArray) -> NDArray[np.float64]:
     """Heights (s,) whose unknown ends go on as the last known."""
     known = np.flatnonzero(np.isfinite(heights))
     return np.interp(np.arange(len(heights)), known, heights[known])
-
-
-def _rims_ring(right: NDArray, across: NDArray, stations: NDArray, upper: NDArray, lower: NDArray) -> NDArray[np.float64]:
-    """(2 s, 2) ring over the upper rim and back over the lower one, evenly between the ends that were found."""
-    down, known = np.array([-across[1], across[0]]), np.isfinite(upper)
-    even = np.linspace(stations[known][0], stations[known][-1], len(stations))
-    rims = [np.interp(even, stations[known], rim[known]) for rim in (upper, lower)]
-    rows = [right + even[:, None] * across + rim[:, None] * down for rim in rims]
-    return np.concatenate([rows[0], rows[1][::-1]])
 
 
 def _uneven(found: str) -> InputError:

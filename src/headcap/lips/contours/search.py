@@ -17,8 +17,8 @@ _ENDS_SHARE = 0.3
 _SURE, _UNSURE = 4.0, -4.0
 """Log-odds beyond which one pixel does not count more: no place may carry a whole contour."""
 NOTHING = -1e9
-_WIDTHS, _HEIGHTS = np.array([0.8, 0.9, 1.0, 1.12, 1.25]), np.array([0.6, 0.8, 1.0, 1.25, 1.6])
-"""Sizes of the true mouth over the base tracker's: an opening that was missed nearly doubles its height."""
+_WIDTHS, _HEIGHTS = np.array([0.8, 0.9, 1.0, 1.12, 1.25]), np.array([0.6, 0.8, 1.0, 1.25, 1.6, 2.1])
+"""Sizes of the true mouth over the base tracker's: an opening that was missed doubles its height."""
 
 
 def sample(likelihood: NDArray[np.float32], points: NDArray) -> NDArray[np.float64]:
@@ -66,12 +66,13 @@ def search_ring(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The ring (k, 2) of most log-odds among those that leave a ring (k, 2) along its normals (k, 2), and its log-odds (k,).
 
-    Maximises sum_i L(p_i + o_i n_i) - stiffness (o_i - o_{i+1})^2 over offsets o_i of at most `reach` on a grid of `step` (all in
-    the map's pixels), the last place next to the first; then each offset goes to the vertex of the parabola through its L.
+    Maximises sum_i L(p_i + o_i n_i) - (o_i / reach)^2 - stiffness (o_i - o_{i+1})^2 over offsets o_i of at most `reach` on a grid
+    of `step` (all in the map's pixels), the last place next to the first: of equal maxima the closest. Then each offset goes to
+    the vertex of the parabola through its L.
     """
     offsets = np.arange(-np.ceil(reach / step), np.ceil(reach / step) + 1) * step
     odds = sample(likelihood, ring[:, None] + offsets[None, :, None] * normals[:, None])
-    path = _best_cycle(odds, stiffness * step**2, _SLOPE)
+    path = _best_cycle(odds - (offsets / reach) ** 2, stiffness * step**2, _SLOPE)
     rows = np.arange(len(ring))
     chosen = offsets[path] + step * _vertex(odds, rows, path, max(1, round(1 / step)))
     return ring + chosen[:, None] * normals, odds[rows, path]
@@ -108,7 +109,8 @@ def search_rims(
     L counts once; at both ends of the run they must be: a shut mouth is one line, and two rims need two edges. None where no run
     gains anything.
 
-    Two rims on the flanks of one edge would count it twice: what the map says midway between them is taken off, if it is an edge.
+    Two rims on the flanks of one edge would count it twice: the least that the map says between them, at quarters of the way, is
+    taken off where it still speaks of an edge.
     """
     down = np.array([-across[1], across[0]])
     places = origin + stations[:, None] * across
@@ -117,11 +119,9 @@ def search_rims(
     for height in heights:
         here = sample(likelihood, places[:, None] + height[..., None] * down)
         odds.append(np.where((height >= bounds[:, :1]) & (height <= bounds[:, 1:]), here, NOTHING))
-    midway = 0.5 * (heights[0][:, :, None] + heights[1][:, None, :])
-    between = np.maximum(sample(likelihood, places[:, None, None] + midway[..., None] * down), 0)
     same = 0.5 * float(offsets[1] - offsets[0])
     last_start = max(1, int(_ENDS_SHARE * len(stations)))
-    first, paths = _best_rims(*heights, *odds, between, same, stiffness, _SLOPE, last_start)
+    first, paths = _best_rims(likelihood, places, down, *heights, *odds, same, stiffness, _SLOPE, last_start)
     if first < 0:
         return None
     rims = np.full((2, len(stations)), np.nan)
@@ -212,7 +212,17 @@ def _best_cycle(odds, stiffness, slope):
 
 
 @njit(cache=True)
-def _best_rims(upper, lower, upper_odds, lower_odds, between, same, stiffness, slope, last_start):
+def _joint(likelihood, place, down, upper, gap):
+    """What two rims have in common: the least log-odds between them, where they are on a contour rather than not."""
+    least = np.inf
+    for quarter in (0.25, 0.5, 0.75):
+        height = upper + quarter * gap
+        least = min(least, _at(likelihood, place[0] + height * down[0], place[1] + height * down[1]))
+    return max(least, 0.0)
+
+
+@njit(cache=True)
+def _best_rims(likelihood, places, down, upper, lower, upper_odds, lower_odds, same, stiffness, slope, last_start):
     """First station and states (n, 2) of the best run of pairs; -1 where none is worth anything."""
     stations, states = upper.shape
     value = np.full((states, states), -np.inf)
@@ -226,7 +236,9 @@ def _best_rims(upper, lower, upper_odds, lower_odds, between, same, stiffness, s
                 if gap < -same or upper_odds[k, u] < -1e6 or lower_odds[k, w] < -1e6:
                     continue
                 shut = gap < same
-                here = upper_odds[k, u] if shut else upper_odds[k, u] + lower_odds[k, w] - between[k, u, w]
+                here = upper_odds[k, u]
+                if not shut:
+                    here += lower_odds[k, w] - _joint(likelihood, places[k], down, upper[k, u], gap)
                 # a run may begin here, with shut lips
                 top, source = (0.0, -1) if shut and k < last_start else (-np.inf, -1)
                 if k > 0:

@@ -41,7 +41,7 @@ class ContourSettings(BaseModel):
         gt=16,
         description="Distance of the eyes' middles at which the fine pass sees the mouth; half of it for the coarse one",
     )
-    margin_mm: float = Field(11.0, gt=0, description="How far about the base tracker's mouth contours may lie")
+    margin_mm: float = Field(16.0, gt=0, description="How far about the base tracker's mouth contours may lie")
     features: int = Field(300, ge=40, description="Features to choose from, drawn once")
     patch_px: int = Field(12, ge=4, description="Half the side of the patch a feature may look at, at either resolution")
     tolerance_px: float = Field(0.75, gt=0, description="Pixels so near a contour show it")
@@ -74,6 +74,6 @@ class SearchSettings(BaseModel):
     rim_stiffness: float = Field(
         0.25,
         ge=0,
-        description="The same across the inner contour; there 0.1, 0.25, 0.6, 1.5 give medians of 1.07, 0.97, 1.03, 1.12 px",
+        description="The same across the inner contour; there 0.1, 0.25, 0.5 give medians of 0.85, 0.83, 0.81 px",
     )
     least_share: float = Field(0.6, ge=0, le=1, description="Share of a contour that must look like one, or it is not found")
