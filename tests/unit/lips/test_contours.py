@@ -23,7 +23,9 @@ from headcap.lips.contours import (
     draw_contours,
     draw_labels,
     find_contours,
+    labelled_examples,
     load_labels,
+    mesh_examples,
     save_labels,
     train_detector,
 )
@@ -238,6 +240,33 @@ def test_a_handful_of_labels_adapts_a_detector(detector, booth):
     assert (np.array(after) < 0.7 * np.array(before)).all()
     with pytest.raises(InputError, match="no labelled picture"):
         adapt_detector(detector, [])
+
+
+def test_examples_of_tracked_meshes_and_of_labels_by_hand(stage, booth, stranger, tmp_path):
+    pictures, meshes, contours, _ = stranger
+    lost = [*meshes[:3], None, np.full_like(meshes[0], np.nan)]
+    told = mesh_examples("63", pictures, lost, stage.camera, stage.see, booth.locate)
+    assert len(told) == 3
+    save_labels(tmp_path / "lips.json", {1: contours[1], 4: contours[4]})
+    labels = load_labels(tmp_path / "lips.json")
+    drawn = labelled_examples("63", pictures, labels, meshes, stage.camera, booth.locate)
+    assert len(drawn) == 2
+    # a crop moves picture, mouth and contours alike
+    for one, other in ((told[1], drawn[0]),):
+        np.testing.assert_array_equal(one.picture, other.picture)
+        np.testing.assert_allclose(one.contours.inner, other.contours.inner, atol=0.01)  # written with two digits
+    example, low = told[1], contours[1].outer[0] - told[1].contours.outer[0]
+    np.testing.assert_array_equal(low, np.rint(low))
+    x, y = low.astype(int)
+    height, width = example.picture.shape[:2]
+    np.testing.assert_array_equal(example.picture, pictures[1][y : y + height, x : x + width])
+    assert height < stage.camera.height
+    np.testing.assert_allclose(example.view.border + low, booth.locate(meshes[1], stage.camera).border)
+    assert labelled_examples("63", pictures, {4: contours[4]}, [*meshes[:4], lost[4]], stage.camera, booth.locate) == []
+    with pytest.raises(InputError, match="frame 9"):
+        labelled_examples("63", pictures, {9: contours[0]}, meshes, stage.camera, booth.locate)
+    with pytest.raises(InputError, match="fewer pictures"):
+        mesh_examples("63", pictures[:4], meshes, stage.camera, stage.see, booth.locate)
 
 
 def test_windows_map_there_and_back(stage, booth, stranger, rng):

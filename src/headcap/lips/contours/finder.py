@@ -13,6 +13,7 @@ from headcap.artifacts import load_arrays, save_arrays
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.lips.contours.detector import ContourDetector, LikelihoodMaps
+from headcap.lips.contours.frames import paired
 from headcap.lips.contours.search import outward_normals, resample_ring, search_rims, search_ring, settle_ring
 from headcap.lips.contours.settings import SearchSettings
 from headcap.lips.contours.window import MouthLocator, MouthView
@@ -203,14 +204,7 @@ def find_contours(
 
     Raises `InputError` where pictures and meshes differ in number or there are none.
     """
-    pictures, found = iter(pictures), []
-    for mesh in meshes:
-        picture = next(pictures, None)
-        if picture is None:
-            raise _uneven(f"fewer pictures than meshes: {len(found)}")
-        found.append(finder(picture, mesh, camera))
-    if next(pictures, None) is not None or not found:
-        raise _uneven(f"more pictures than meshes: {len(found)}" if found else "a video without frames")
+    found = [finder(picture, mesh, camera) for picture, mesh in paired(pictures, meshes)]
     places, stations = finder.settings.places, finder.settings.stations
     outer = np.full((len(found), places, 2), np.nan, np.float32)
     inner = np.full((len(found), 2 * stations, 2), np.nan, np.float32)
@@ -248,9 +242,3 @@ def _continued(heights: NDArray) -> NDArray[np.float64]:
     """Heights (s,) whose unknown ends go on as the last known."""
     known = np.flatnonzero(np.isfinite(heights))
     return np.interp(np.arange(len(heights)), known, heights[known])
-
-
-def _uneven(found: str) -> InputError:
-    return InputError(
-        found, expected="one mesh of the base tracker per picture", remedy="Give the video that was tracked, whole."
-    )

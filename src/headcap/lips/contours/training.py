@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.lips.contours.boosting import BoostedTrees, grow_trees, log_loss
 from headcap.lips.contours.channels import channel_images, integral_images
 from headcap.lips.contours.detector import CONTOURS, PASSES, ContourClassifier, ContourDetector
 from headcap.lips.contours.features import FeaturePool, draw_pool
+from headcap.lips.contours.frames import paired
 from headcap.lips.contours.settings import ContourSettings, SearchSettings
 from headcap.lips.contours.variation import varied_window
-from headcap.lips.contours.window import EYE_DISTANCE_MM, MouthView, MouthWindow
+from headcap.lips.contours.window import EYE_DISTANCE_MM, MouthLocator, MouthView, MouthWindow
 from headcap.lips.features import LipContours
+from headcap.lips.mesh_contours import MeshContours
 
 _BESIDE = 3
 """Samples beside a contour for one on it."""
@@ -45,6 +48,56 @@ class LipExample:
         view = MouthView(self.view.border - low, self.view.left, self.view.eye_distance_px, self.view.across)
         contours = LipContours(self.contours.outer - low, self.contours.inner - low)
         return LipExample(self.picture[low[1] : high[1], low[0] : high[0]].copy(), view, contours, self.person)
+
+
+def mesh_examples(
+    person: str,
+    pictures: Iterable[NDArray[np.uint8]],
+    meshes: Iterable[NDArray],
+    camera: Camera,
+    see: MeshContours,
+    locate: MouthLocator,
+) -> list[LipExample]:
+    """Examples from tracked meshes (n, 3), one per picture: the rig tells the contours that one of its cameras sees.
+
+    Frames without a mesh (None, or NaN about the mouth), or whose mouth leaves the picture, are left out. Raises `InputError`
+    where pictures and meshes differ in number.
+    """
+    found = []
+    for picture, mesh in paired(pictures, meshes):
+        view = None if mesh is None else locate(mesh, camera)
+        if view is not None:
+            found.append(LipExample(picture, view, see(mesh, camera), person).cropped())
+    return found
+
+
+def labelled_examples(
+    person: str,
+    pictures: Iterable[NDArray[np.uint8]],
+    labels: Mapping[int, LipContours],
+    base_meshes: Iterable[NDArray],
+    camera: Camera,
+    locate: MouthLocator,
+) -> list[LipExample]:
+    """Examples from contours drawn by hand, by frame number, with the base tracker's meshes (n, 3), one per picture.
+
+    Labelled frames that the base tracker lost are left out. Raises `InputError` for labels of frames that the video does not
+    have, or where pictures and meshes differ in number.
+    """
+    found, frames = [], 0
+    for frame, (picture, mesh) in enumerate(paired(pictures, base_meshes)):
+        frames = frame + 1
+        view = locate(mesh, camera) if frame in labels else None
+        if view is not None:
+            found.append(LipExample(picture, view, labels[frame], person).cropped())
+    beyond = [frame for frame in labels if not 0 <= frame < frames]
+    if beyond:
+        raise InputError(
+            f"labels of frame {beyond[0]} in a video of {frames}",
+            expected=f"frame numbers from 0 to {frames - 1}",
+            remedy="Give the labels of this video.",
+        )
+    return found
 
 
 def train_detector(examples: Sequence[LipExample], settings: ContourSettings | None = None) -> ContourDetector:
