@@ -16,6 +16,7 @@ from headcap.lips.inpainting import (
     inpainting_figure,
     lip_texture,
     most_alike,
+    slightly_open,
 )
 from headcap.lips.inpainting.painter import _Smoother, composite
 from headcap.lips.inpainting.texture import fill
@@ -237,6 +238,17 @@ def test_the_reference_pose_is_the_most_alike_wherever_the_head_is(scene, textur
     assert (number, away_m) == (2, pytest.approx(0, abs=1e-9))
     with pytest.raises(InputError, match="without frames"):
         most_alike([], scene.mesh(), texture.region)
+
+
+def test_the_untattooed_moment_has_the_mouth_a_little_open(scene, template, texture):
+    closed, little, wide = (scene.person.mesh(AT_REST | {"jaw": jaw}) for jaw in (0.0, 0.12, 0.8))
+    round_open = scene.mesh(rounding=1.0)
+    number, gap_mm = slightly_open([closed, wide, little, round_open], template, texture.region)
+    assert number == 2
+    assert 1.5 < gap_mm < 6
+    assert slightly_open([closed, closed], template, texture.region)[1] < 1.5
+    with pytest.raises(InputError, match="without frames"):
+        slightly_open([], template, texture.region)
 
 
 def test_a_texture_is_saved_whole(scene, texture, tmp_path):

@@ -1,9 +1,19 @@
 """Lip tattoos painted over with the lips of the same person untattooed (section 3.2.1, figure 5)."""
 
 from headcap.lips.inpainting.figure import inpainting_figure
-from headcap.lips.inpainting.painter import LipPainter, most_alike
+from headcap.lips.inpainting.moments import most_alike, slightly_open
+from headcap.lips.inpainting.painter import LipPainter
 from headcap.lips.inpainting.region import LipRegion
 from headcap.lips.inpainting.settings import InpaintingSettings
 from headcap.lips.inpainting.texture import LipTexture, lip_texture
 
-__all__ = ["InpaintingSettings", "LipPainter", "LipRegion", "LipTexture", "inpainting_figure", "lip_texture", "most_alike"]
+__all__ = [
+    "InpaintingSettings",
+    "LipPainter",
+    "LipRegion",
+    "LipTexture",
+    "inpainting_figure",
+    "lip_texture",
+    "most_alike",
+    "slightly_open",
+]

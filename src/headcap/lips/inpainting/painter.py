@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -72,10 +70,6 @@ class LipPainter:
         return composite(
             self.texture.region, self.camera, mesh, picture, self.shaded(mesh, picture), self._settings.supersampling
         )
-
-    def paint_all(self, meshes: Iterable[NDArray], pictures: Iterable[NDArray[np.uint8]]) -> Iterable[NDArray[np.uint8]]:
-        """Frame after frame of a take."""
-        return (self.paint(mesh, picture) for mesh, picture in zip(meshes, pictures, strict=True))
 
 
 def composite(
@@ -163,20 +157,3 @@ class _Smoother:
         weighted = self._asking.multiply(share[:, None]).tocsr()
         normal = sparse.csr_array(self._asking.T @ weighted + self._stiffness)
         return self._between @ Factor(normal).solve(weighted.T @ values[self._asked])
-
-
-def most_alike(meshes: Iterable[NDArray], mesh: NDArray, region: LipRegion) -> tuple[int, float]:
-    """Which of some meshes (n, 3) lies most like another about the mouth, and the distance, rms in metres, after the mean shift.
-
-    Turned heads are shaded otherwise, so turns count.
-    """
-    wanted = _centred(mesh, region)
-    away = [float(np.sqrt(((_centred(other, region) - wanted) ** 2).sum(axis=1).mean())) for other in meshes]
-    if not away:
-        raise InputError("a tattooed take without frames", expected="one at least", remedy="Look at the take's tracking.")
-    return int(np.argmin(away)), float(min(away))
-
-
-def _centred(mesh: NDArray, region: LipRegion) -> NDArray[np.float64]:
-    points = np.asarray(mesh, float)[region.vertices]
-    return points - points.mean(axis=0)
