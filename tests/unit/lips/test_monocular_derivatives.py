@@ -8,8 +8,12 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import rigid
 from headcap.heads import HeadCoefficients, procedural_model
+from headcap.heads.model import RestOffset
 from headcap.lips.monocular import harmonics, photometric
+from headcap.lips.monocular.medium_scale import manifold_harmonics, medium_layer
 from headcap.lips.monocular.surface import Estimate, FaceSurface
+from headcap.meshes.laplacian import cotangent_laplacian, vertex_areas
+from headcap.meshes.topology import boundary_mask
 
 WIDTH, HEIGHT = 90, 120
 FACING = np.diag([1.0, -1.0, -1.0])
@@ -18,7 +22,7 @@ FACING = np.diag([1.0, -1.0, -1.0])
 
 @pytest.fixture(scope="module")
 def surface() -> FaceSurface:
-    return FaceSurface(procedural_model(shapes=6, expressions=12), 12, 6)
+    return FaceSurface(procedural_model(shapes=6, expressions=12), 12, 6, harmonics=2)
 
 
 @pytest.fixture(scope="module")
@@ -75,10 +79,29 @@ def test_light_is_recovered_from_colours(rng: np.random.Generator):
 
 def test_surface_is_the_head_models_own(surface: FaceSurface, estimate: Estimate):
     pose = np.stack([np.zeros(3), estimate.jaw])
-    whole = HeadCoefficients(estimate.shape, estimate.expression, pose, placement=estimate.camera_from_head)
-    expected = surface.model.evaluate(whole)[surface.vertices]
+    whole = HeadCoefficients(estimate.shape[:6], estimate.expression, pose, placement=estimate.camera_from_head)
+    layer = RestOffset(np.arange(len(surface.model.vertices)), surface.layer(estimate))
+    # the deviation of a layer of 2 mm: there is something to find
+    assert np.linalg.norm(layer.values, axis=1).max() > 1e-3
+    expected = surface.model.evaluate(whole, layer)[surface.vertices]
     # float32 bases on positions below a metre
     assert np.abs(surface.in_camera(estimate) - expected).max() < 1e-6
+
+
+def test_harmonics_of_the_layer_are_the_face_s_own(surface: FaceSurface):
+    vertices = surface.model.vertices[surface.vertices].astype(float)
+    modes, values = manifold_harmonics(vertices, surface.triangles, 12)
+    areas = vertex_areas(vertices, surface.triangles)
+    # eigenvectors: orthonormal over the area, with lambda as their energy
+    np.testing.assert_allclose((modes * areas) @ modes.T / areas.sum(), np.eye(12), atol=1e-8)
+    energy = modes @ cotangent_laplacian(vertices, surface.triangles) @ modes.T / areas.sum()
+    np.testing.assert_allclose(energy, np.diag(values), atol=1e-6 * values[-1])
+    assert (np.diff(values) >= 0).all()
+    # the rest of the head joins on
+    assert np.abs(modes[:, boundary_mask(surface.triangles, len(vertices))]).max() == 0
+    layer = medium_layer(vertices, surface.triangles, 12, 1.5e-3)
+    deviation_m = np.sqrt((areas * (layer**2).sum(axis=2)).sum(axis=1) / areas.sum()).reshape(12, 3)
+    np.testing.assert_allclose(deviation_m, np.repeat(1.5e-3 * values[:1] / values, 3).reshape(12, 3), rtol=1e-4)
 
 
 def test_surface_slopes_are_finite_differences(surface: FaceSurface, estimate: Estimate):

@@ -151,6 +151,31 @@ def test_first_frame_finds_the_person(studio: Studio, started: Started):
     assert np.linalg.norm((shown - true)[face], axis=1).mean() < 0.5 * (1 + 0.03 * 90)
 
 
+def test_a_face_beyond_the_model_s_shapes_comes_nearer_by_the_layer():
+    person = Studio()
+    rest, normals = person.model.vertices.astype(float), vertex_normals(person.model.vertices, person.model.triangles)
+    away = np.linalg.norm(rest - rest[person.model.landmarks["chin"]], axis=1)
+    known = person.model
+    person.model = replace(
+        known, vertices=(rest + 6e-3 * np.exp(-0.5 * (away / 0.03) ** 2)[:, None] * normals).astype(np.float32)
+    )
+    picture, points, face = person.picture(person.still), person.points(person.still), known.regions["face"]
+    error_mm, layers = [], []
+    for harmonics_used in (0, 20):
+        settings = SETTINGS.model_copy(update={"harmonics": harmonics_used})
+        track = track_video(known, person.camera, [picture], np.zeros(1), {0: points}, settings)
+        found, true = next(track.meshes(known)), person.mesh(person.still)
+        aligned = transform(fit_rigid(found[face], true[face]), found)
+        error_mm.append(1e3 * np.linalg.norm(aligned - true, axis=1)[face].mean())
+        layers.append(track.layer)
+        np.testing.assert_allclose(track.neutral(known) - track.layer, known.identity(track.shape), atol=1e-6)
+    assert not layers[0].any()
+    whole = np.any([mask for name, mask in known.regions.items() if name.startswith(("face", "lip", "eyes", "mouth"))], axis=0)
+    assert layers[1].any()
+    assert not layers[1][~whole].any()
+    assert error_mm[1] < 0.95 * error_mm[0]
+
+
 def test_a_frame_is_followed_within_a_pixel(studio: Studio, started: Started):
     result = started.tracker.follow(studio.picture(studio.speaking, seed=1))
     assert result.state is FrameState.TRACKED
@@ -282,3 +307,53 @@ def test_what_cannot_be_tracked_is_refused(studio: Studio, started: Started):
         track_video(studio.model, studio.camera, [], np.zeros(0), {3: studio.points(studio.still)}, SETTINGS)
     with pytest.raises(InputError, match="without pictures"):
         track_video(studio.model, studio.camera, [], np.zeros(0), {}, SETTINGS)
+
+
+def _beside(studio: Studio, picture: np.ndarray, share: float) -> tuple[np.ndarray, MonocularTracker]:
+    """The studio's picture with a second one, made smaller to a share, on its right; a tracker for both in one."""
+    second = np.full_like(picture, picture[0, 0])
+    small = cv2.resize(picture, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    second[HEIGHT - len(small) :, WIDTH - small.shape[1] :] = small
+    wide = replace(studio.camera, width=2 * WIDTH)
+    return np.hstack([picture, second]), MonocularTracker(studio.model, wide, SETTINGS)
+
+
+def test_of_two_faces_the_larger_one_is_followed_and_the_other_told(studio: Studio):
+    picture, tracker = _beside(studio, studio.picture(studio.still), 0.7)
+    result = tracker.start(picture)
+    assert result.others == 1
+    shown = studio.camera.project(tracker.surface.in_camera(result.estimate))[0]
+    assert 0 < shown[:, 0].mean() < WIDTH
+
+
+def test_two_faces_of_one_size_are_no_start(studio: Studio):
+    picture, tracker = _beside(studio, studio.picture(studio.still), 1.0)
+    with pytest.raises(InputError, match=r"2 faces of about one size.*Cut the picture"):
+        tracker.start(picture)
+    # who is meant is known from a detector's points
+    assert tracker.start(picture, studio.points(studio.still)).others == 0
+
+
+def _turned(studio: Studio, yaw_deg: float) -> Moment:
+    turn = Rotation.from_euler("y", yaw_deg, degrees=True).as_matrix()
+    place = studio.still.camera_from_head.copy()
+    place[:3, :3] = turn @ place[:3, :3]
+    return Moment(np.zeros(30), 0.0, place)
+
+
+def test_a_face_that_turns_away_is_lost_and_not_made_up(studio: Studio, started: Started):
+    results = [started.tracker.follow(studio.picture(_turned(studio, yaw), seed=yaw)) for yaw in range(15, 120, 15)]
+    states = [result.state for result in results]
+    assert states[0] is FrameState.TRACKED
+    assert set(states[-2:]) == {FrameState.LOST}
+    for yaw, result in zip(range(15, 120, 15), results, strict=True):
+        if result.estimate is not None:
+            # an answer is one: the head points where it does, within what the person's shape leaves open at the first frame
+            turn = result.estimate.camera_from_head[:3, :3] @ _turned(studio, yaw).camera_from_head[:3, :3].T
+            assert np.degrees(rotation_angle(turn)) < 15
+
+
+def test_a_face_from_the_side_is_no_start(studio: Studio):
+    tracker = MonocularTracker(studio.model, studio.camera, SETTINGS)
+    with pytest.raises(InputError, match="no face"):
+        tracker.start(studio.picture(_turned(studio, 90)))

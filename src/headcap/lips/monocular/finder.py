@@ -2,6 +2,12 @@
 
 No weights and no pictures of people are needed: what faces share under most lights is that brows, eyes and mouth are darker than
 the skin around them, and where they lie on a head. Pictures are normalised locally first, which takes lamps and complexion out.
+
+How far its score can be trusted, at the usual threshold of 0.41: seven people in the middle of a sentence score 0.43 to 0.50, two
+rehearsed heads under four sets of lamps from the front or above, and turned by 20 degrees, 0.43 to 0.53: all are found. Lit from
+below (0.39, 0.40), turned by 40 degrees (0.36, 0.37), bald and without brows as a rendered head of another make (0.35) faces are
+not found. Of 23 pictures without a face (heads from behind, boards, noise, streets, statues of a temple) none passes, the likest
+with 0.405. The margins are narrow: a detector's points are better wherever there are any.
 """
 
 from __future__ import annotations
@@ -13,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.cameras import Camera
+from headcap.errors import InputError
 from headcap.geometry.transforms import rigid
 from headcap.lips.monocular.pictures import linear_light
 from headcap.lips.monocular.surface import FaceSurface
@@ -43,6 +50,13 @@ _WORTH = (1.0, 0.7)
 """Of brightness and redness in the comparison."""
 _LEAST_SPREAD = 0.02
 """Of a logarithm: less is a sensor's noise."""
+_APART = 0.6
+"""Distance of two faces' middles, over the larger one's width, below which they are the same."""
+_RIVAL_SCORE, _RIVAL_WIDTH = 0.75, 0.8
+"""A second face scores so much of the likest one's score at least; and it is about as large from so much of its width on."""
+RIVAL_SHARE = 0.92
+"""Of the score that makes a first face, that makes a second one: beside a face, what is none was never liker than 0.36, and
+second people not less than 0.39."""
 FACING = np.diag([1.0, -1.0, -1.0])
 """Rotation of a head that looks into the camera."""
 
@@ -55,6 +69,9 @@ class FoundFace:
     """(4, 4) of the mean head."""
     score: float
     """Normalised cross-correlation with the generic face, -1 to 1."""
+    middle_px: NDArray[np.float64]
+    """(2,) of the face in the picture."""
+    width_px: float
 
 
 def generic_albedo(surface: FaceSurface) -> NDArray[np.float64]:
@@ -93,22 +110,47 @@ def mistaken(found: FoundFace) -> list[NDArray[np.float64]]:
     return out
 
 
-def find_face(surface: FaceSurface, camera: Camera, picture: NDArray[np.uint8]) -> FoundFace | None:
-    """The place in a picture (height, width, 3) that looks most like a face seen from the front; None in one too small for any.
+def find_faces(surface: FaceSurface, camera: Camera, picture: NDArray[np.uint8], least_score: float) -> list[FoundFace]:
+    """Places in a picture (height, width, 3) that look like a face seen from the front, apart from each other, likest first.
 
-    The camera's axes; lens distortion is passed over. The caller judges the score.
+    The likest one of all is among them whatever its score, the others score `least_score` and more; none in a picture too small
+    for any. The camera's axes; lens distortion is passed over.
     """
-    looks, best = looks_of(linear_light(picture)), None
+    looks, found = looks_of(linear_light(picture)), []
     short = min(picture.shape[:2])
     for pitch_deg in _PITCHES_DEG:
         template = _Template.of(surface, pitch_deg)
         width = _LARGEST_SHARE * short
         while width > max(_SMALLEST_SHARE * short, 0.5 * _TEMPLATE_PX):
-            found = template.best(looks, camera, width)
-            if found is not None and (best is None or found.score > best.score):
-                best = found
+            found += template.places(looks, camera, width, least_score)
             width /= _SIZE_STEP
-    return best
+    return _apart(sorted(found, key=lambda face: -face.score))
+
+
+def followed(faces: list[FoundFace]) -> tuple[FoundFace, list[FoundFace]]:
+    """Of several faces, likest first, the one to follow, which is the largest, and the others.
+
+    What scores far below the likest is no second face, however large it is. Raises `InputError` where two are about as large.
+    """
+    alike = [face for face in faces if face.score >= _RIVAL_SCORE * faces[0].score]
+    largest, *others = sorted(alike, key=lambda face: -face.width_px)
+    if others and others[0].width_px > _RIVAL_WIDTH * largest.width_px:
+        places = " and ".join(f"({x:.0f}, {y:.0f})" for x, y in (largest.middle_px, others[0].middle_px))
+        raise InputError(
+            f"{len(alike)} faces of about one size, at {places} px",
+            expected="one face, or one that is clearly the largest",
+            remedy="Cut the picture down to one person, or give a detector's points of the one to follow.",
+        )
+    return largest, others
+
+
+def _apart(faces: list[FoundFace]) -> list[FoundFace]:
+    """Those of faces, likest first, that do not lie on a likelier one."""
+    kept: list[FoundFace] = []
+    for face in faces:
+        if all(np.linalg.norm(face.middle_px - other.middle_px) > _APART * max(face.width_px, other.width_px) for other in kept):
+            kept.append(face)
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,21 +193,26 @@ class _Template:
         origin = np.array([side / 2 - columns[0], side / 2 - rows[0]])
         return cls(normalised[box], np.repeat(inside[box].astype(np.float32)[..., None], 2, axis=2), origin, turn, focal)
 
-    def best(self, looks: NDArray, camera: Camera, width_px: float) -> FoundFace | None:
-        """The best place of a face so wide."""
+    def places(self, looks: NDArray, camera: Camera, width_px: float, least_score: float) -> list[FoundFace]:
+        """The best place of a face so wide, and the other local maxima of the score that reach `least_score`."""
         share = _TEMPLATE_PX / width_px
         size = round(looks.shape[1] * share), round(looks.shape[0] * share)
         if size[0] < self.picture.shape[1] or size[1] < self.picture.shape[0]:
-            return None
+            return []
         small = cv2.resize(looks, size, interpolation=cv2.INTER_AREA if share < 1 else cv2.INTER_LINEAR)
         scores = cv2.matchTemplate(_normalised(small), self.picture, cv2.TM_CCOEFF_NORMED, mask=self.mask)
-        scores = np.where(np.isfinite(scores), scores, -1.0)
-        y, x = np.unravel_index(int(scores.argmax()), scores.shape)
-        focal = camera.matrix[0, 0] * share
-        depth = _DISTANCE_M * focal / self.focal_px
+        scores = np.where(np.isfinite(scores), scores, -1.0).astype(np.float32)
+        peaks = (scores >= least_score) & (scores == cv2.dilate(scores, np.ones((_TEMPLATE_PX // 2,) * 2)))
+        peaks.flat[int(scores.argmax())] = True
+        return [self._face(camera, share, x, y, float(scores[y, x])) for y, x in np.argwhere(peaks)]
+
+    def _face(self, camera: Camera, share: float, x: int, y: int, score: float) -> FoundFace:
+        """The face whose box's corner lies at (x, y) of the picture made smaller to a share."""
+        depth = _DISTANCE_M * camera.matrix[0, 0] * share / self.focal_px
         at = (np.array([x, y]) + self.origin + 0.5) / share - 0.5
         shift = np.append((at - camera.matrix[:2, 2]) * depth / camera.matrix[[0, 1], [0, 1]], depth)
-        return FoundFace(rigid(self.rotation, shift), float(scores[y, x]))
+        middle = (np.array([x, y]) + 0.5 * np.array(self.picture.shape[1::-1])) / share
+        return FoundFace(rigid(self.rotation, shift), score, middle, _TEMPLATE_PX / share)
 
 
 def _inner(surface: FaceSurface, placed: NDArray, matrix: NDArray, side: int) -> NDArray[np.bool_]:

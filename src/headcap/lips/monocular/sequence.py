@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,12 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import invert
 from headcap.heads import HeadCoefficients, HeadModel
+from headcap.heads.model import RestOffset
 from headcap.lips.monocular.detections import SCHEMES
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.tracker import FrameResult, FrameState, MonocularTracker
 
-KIND, SCHEMA = "monocular_track", 1
+KIND, SCHEMA = "monocular_track", 2
 _BLOCK = 64
 _STATES = tuple(FrameState)
 
@@ -50,6 +51,10 @@ class MonocularTrack:
     """(f,) share of the skin in view that looks as rendered."""
     correlation: NDArray[np.float64]
     """(f,) of rendering and picture."""
+    layer: NDArray[np.float32]
+    """(n, 3) metres: the person's medium-scale layer on the model's neutral head, zero away from the face."""
+    others: int = 0
+    """Smaller faces in the picture that began the track, which follows the largest."""
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -60,15 +65,27 @@ class MonocularTrack:
         return np.array([state is not FrameState.LOST for state in self.states], bool)
 
     def coefficients(self, frames: slice | NDArray = slice(None)) -> HeadCoefficients:
-        """What poses and shapes the head in some frames; NaN where lost."""
+        """What poses and shapes the head in some frames, the layer aside; NaN where lost."""
         pose = np.stack([np.zeros_like(self.jaw[frames]), self.jaw[frames]], axis=-2)
         return HeadCoefficients(self.shape, self.expression[frames], pose, placement=self.placement[frames])
+
+    def neutral(self, model: HeadModel) -> NDArray[np.float64]:
+        """(n, 3) the person at rest, metres, in the head's frame. Raises `InputError` for another head model."""
+        self.check(model)
+        return np.asarray(model.identity(self.shape), np.float64) + self.layer
+
+    def camera(self, given: Camera) -> Camera:
+        """The camera that was given to the tracker, with the focal length that was found."""
+        matrix = given.matrix.copy()
+        matrix[[0, 1], [0, 1]] *= self.focal_ratio
+        return replace(given, matrix=matrix)
 
     def meshes(self, model: HeadModel) -> Iterator[NDArray[np.float32]]:
         """Vertices (n, 3) of each frame in the world, metres; NaN where lost. Raises `InputError` for another head model."""
         self.check(model)
+        offset = RestOffset(np.arange(len(self.layer)), self.layer.astype(model.vertices.dtype))
         for start in range(0, len(self), _BLOCK):
-            yield from model.evaluate(self.coefficients(slice(start, start + _BLOCK)))
+            yield from model.evaluate(self.coefficients(slice(start, start + _BLOCK)), offset)
 
     def check(self, model: HeadModel) -> None:
         """Raise `InputError` where the track belongs to another head model."""
@@ -80,20 +97,21 @@ class MonocularTrack:
             )
 
     def save(self, path: Path | str) -> None:
-        """Write as npz artifact `headcap.monocular_track/1`."""
+        """Write as npz artifact `headcap.monocular_track/2`."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         arrays["states"] = np.array([_STATES.index(state) for state in self.states], np.uint8)
-        save_arrays(path, KIND, SCHEMA, arrays, {"model": self.model, "focal_ratio": self.focal_ratio, "states": list(_STATES)})
+        meta = {"model": self.model, "focal_ratio": self.focal_ratio, "others": self.others, "states": list(_STATES)}
+        save_arrays(path, KIND, SCHEMA, arrays, meta)
 
     @classmethod
     def load(cls, path: Path | str) -> MonocularTrack:
         """Read what `save` wrote; raises `ArtifactError`."""
         arrays, meta = load_arrays(path, KIND, SCHEMA)
         states = tuple(FrameState(meta["states"][k]) for k in arrays.pop("states"))
-        return cls(model=meta["model"], focal_ratio=meta["focal_ratio"], states=states, **arrays)
+        return cls(**{name: meta[name] for name in ("model", "focal_ratio", "others")}, states=states, **arrays)
 
 
-_ARRAYS = ("time_s", "shape", "expression", "jaw", "placement", "light", "residual", "inliers", "correlation")
+_ARRAYS = ("time_s", "shape", "layer", "expression", "jaw", "placement", "light", "residual", "inliers", "correlation")
 
 
 def track_video(
@@ -158,7 +176,7 @@ def _joined(
     }
     figures = {name: np.full(f, np.nan) for name in ("residual", "inliers", "correlation")}
     world_from_camera = invert(camera.camera_from_world)
-    first = next(result.estimate for result in results if result and result.estimate)
+    begun = next(result for result in results if result and result.estimate)
     for k, result in enumerate(results):
         if result is None or result.estimate is None:
             continue
@@ -168,5 +186,6 @@ def _joined(
         for name, values in figures.items():
             values[k] = getattr(result, name)
     states = tuple(FrameState.LOST if result is None else result.state for result in results)
-    ratio = float(np.exp(first.log_focal))
-    return MonocularTrack(model.digest, time_s, states, first.shape, focal_ratio=ratio, **arrays, **figures)
+    ratio, shape = float(np.exp(begun.estimate.log_focal)), begun.estimate.shape[: surface.model_shapes]
+    arrays["layer"] = surface.layer(begun.estimate)
+    return MonocularTrack(model.digest, time_s, states, shape, focal_ratio=ratio, others=begun.others, **arrays, **figures)

@@ -18,6 +18,7 @@ from headcap.errors import InputError
 from headcap.geometry.rotations import rotation_derivatives, rotation_matrices
 from headcap.geometry.transforms import rigid, transform
 from headcap.heads import HeadModel
+from headcap.lips.monocular.medium_scale import medium_layer
 from headcap.meshes.normals import vertex_normals
 from headcap.meshes.topology import submesh
 
@@ -39,7 +40,7 @@ class Estimate:
     expression: NDArray[np.float64]
     """psi (e,)."""
     shape: NDArray[np.float64]
-    """beta (s,)."""
+    """beta (s,), coefficients of the medium-scale layer behind the model's."""
     log_focal: float = 0.0
     """Logarithm of the focal length's ratio to the given camera's."""
 
@@ -70,10 +71,19 @@ class Slopes:
 class FaceSurface:
     """Face, lips, and the mouth's and eyes' inside of a head model; n vertices, m triangles."""
 
-    def __init__(self, model: HeadModel, expressions: int | None = None, shapes: int | None = None) -> None:
+    def __init__(
+        self,
+        model: HeadModel,
+        expressions: int | None = None,
+        shapes: int | None = None,
+        *,
+        harmonics: int = 0,
+        harmonic_m: float = 2e-3,
+    ) -> None:
         """`expressions` and `shapes` limit how many of the leading coefficients are unknown (all by default).
 
-        Raises `InputError` for a model that does not tell where its face is.
+        `harmonics` of the medium-scale layer (see `medium_layer`) follow the model's shapes as further shapes, three each, with
+        a deviation of `harmonic_m`. Raises `InputError` for a model that does not tell where its face is.
         """
         if "face" not in model.regions:
             raise InputError(
@@ -87,18 +97,31 @@ class FaceSurface:
         """`vertices` (n,) are indices into the model's."""
         self.blind = blind[self.vertices]
         self.expressions = min(len(model.expression_basis), expressions if expressions is not None else 10**9)
-        self.shapes = min(len(model.shape_basis), shapes if shapes is not None else 10**9)
+        self.model_shapes = min(len(model.shape_basis), shapes if shapes is not None else 10**9)
         self._mean = model.vertices[self.vertices].astype(np.float64)
         self._expression = np.ascontiguousarray(model.expression_basis[: self.expressions, self.vertices], np.float32)
-        self._shape = np.ascontiguousarray(model.shape_basis[: self.shapes, self.vertices], np.float32)
+        own = np.asarray(model.shape_basis[: self.model_shapes, self.vertices], np.float32)
+        self._shape = np.concatenate([own, medium_layer(self._mean, self.triangles, harmonics, harmonic_m)])
+        self.shapes = len(self._shape)
         self._corrective = model.pose_basis[9 * _JAW_JOINT : 9 * _JAW_JOINT + 9, self.vertices].astype(np.float64)
         self._corrected = bool(np.any(self._corrective))
         self._jaw_weight = model.skinning_weights[self.vertices, _JAW_JOINT + 1].astype(np.float64)
         regress = model.joint_regressor[_JAW_JOINT].astype(np.float64)
         self._joint = regress @ model.vertices
-        self._joint_slopes = np.einsum("n,snc->sc", regress, model.shape_basis[: self.shapes], optimize=True)
+        self._joint_slopes = np.zeros((self.shapes, 3))
+        known = model.shape_basis[: self.model_shapes]
+        self._joint_slopes[: self.model_shapes] = np.einsum("n,snc->sc", regress, known, optimize=True)
         self.number = np.full(len(model.vertices), -1)
         self.number[self.vertices] = np.arange(len(self.vertices))
+
+    def steadiness(self, jaw_rad: float, steady_m: float) -> NDArray[np.float64]:
+        """(n,) 0 to 1: how well each vertex tells the head's rigid motion, whatever the face does.
+
+        Half where expressions of unit variance, and a jaw that turns by so much, move it by `steady_m`, root mean square.
+        """
+        square = (self._expression.astype(np.float64) ** 2).sum(axis=(0, 2))
+        square += (jaw_rad * self._jaw_weight * np.linalg.norm(self._mean - self._joint, axis=1)) ** 2
+        return 1.0 / (1.0 + square / steady_m**2)
 
     @property
     def unknowns(self) -> int:
@@ -114,6 +137,12 @@ class FaceSurface:
     def shape_columns(self) -> slice:
         """Of beta among the unknowns."""
         return slice(FIRST_EXPRESSION + self.expressions, self.unknowns - 1)
+
+    def layer(self, estimate: Estimate) -> NDArray[np.float32]:
+        """The medium-scale layer (N, 3) of an estimate on the whole head of N vertices, metres at rest; joints stay put."""
+        out, chosen = np.zeros((len(self.number), 3), np.float32), slice(self.model_shapes, None)
+        out[self.vertices] = np.tensordot(estimate.shape[chosen].astype(np.float32), self._shape[chosen], 1)
+        return out
 
     def at_rest(self, camera_from_head: NDArray) -> Estimate:
         """The mean head, placed."""

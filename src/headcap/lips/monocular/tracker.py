@@ -14,14 +14,14 @@ from headcap.errors import InputError
 from headcap.heads import HeadModel
 from headcap.lips.monocular import detections
 from headcap.lips.monocular.alignment import flow_features, open_eyed_colour
-from headcap.lips.monocular.finder import find_face, generic_colour, mistaken
+from headcap.lips.monocular.finder import RIVAL_SHARE, find_faces, followed, generic_colour, mistaken
 from headcap.lips.monocular.harmonics import COEFFICIENTS, harmonics
 from headcap.lips.monocular.photometric import Level, observed
 from headcap.lips.monocular.pictures import cameras_of_levels, finest_share, levels_of
 from headcap.lips.monocular.problem import Appearance, Features, FrameProblem, Look, Prior
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.solver import Fit, descend, descend_sparse, paint, relight
-from headcap.lips.monocular.surface import JAW, Estimate, FaceSurface, Slopes
+from headcap.lips.monocular.surface import JAW, RIGID, Estimate, FaceSurface, Slopes
 
 _START_ROUNDS, _SPARSE_STEPS, _ALIGN_ROUNDS = 3, 8, 4
 _NOISE_GAIN = 0.1
@@ -58,6 +58,8 @@ class FrameResult:
     """Skin in view over that of the first frame."""
     correlation: float
     """Zero-mean normalised cross-correlation of rendering and picture over the skin in view."""
+    others: int = 0
+    """Smaller faces in a picture in which the face was looked for; the largest one is followed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,23 +81,29 @@ class MonocularTracker:
     ) -> None:
         """`camera` may stand anywhere: estimates are in its own axes. An unknown focal length is estimated at the first frame."""
         self.settings = settings or MonocularSettings()
-        self.surface = FaceSurface(model, self.settings.expressions, self.settings.shapes)
+        chosen = self.settings
+        limits = {"harmonics": chosen.harmonics, "harmonic_m": 1e-3 * chosen.harmonic_mm}
+        self.surface = FaceSurface(model, chosen.expressions, chosen.shapes, **limits)
         self.camera, self.focal_known = replace(camera, camera_from_world=np.eye(4)), focal_known
+        jaw_rad = float(np.radians(self.settings.jaw_deg[0]))
+        self._steadiness = self.surface.steadiness(jaw_rad, 1e-3 * self.settings.steady_mm)
         self._cameras: list[Camera] = []
         self._memory: _Memory | None = None
         self._known_pixels, self._noise, self._lost = 0.0, np.inf, False
         self._first: Estimate | None = None
+        self._others = 0
 
     # -- first frame ----------------------------------------------------------------------------------------------------------
 
     def start(self, picture: NDArray[np.uint8], points: NDArray | None = None) -> FrameResult:
         """Identity, albedo, light and pose from a frame of an about neutral face.
 
-        `points` (68, 468 or 478, 2) are what a detector found; without any the face is looked for, seen from the front. Raises
-        `InputError` for a picture of another size, points that are no face, and a picture without a face.
+        `points` (68, 468 or 478, 2) are what a detector found; without any the face is looked for, seen from the front, and of
+        several the largest is followed. Raises `InputError` for a picture of another size, points that are no face, a picture
+        without a face, and one with two that are about as large.
         """
         self._check(picture)
-        surface = self.surface
+        surface, self._others = self.surface, 0
         if points is None:
             problem, estimate, appearance = self._looked_for(picture)
         else:
@@ -107,7 +115,7 @@ class MonocularTracker:
             raise InputError(
                 "a face that does not look like one", expected="a face seen from the front", remedy="Check the points."
             )
-        return result
+        return replace(result, others=self._others)
 
     def _identified(self, picture: NDArray[np.uint8], points: NDArray) -> tuple[FrameProblem, Estimate, Appearance]:
         """The face at detected points, and the person by its shading."""
@@ -128,14 +136,16 @@ class MonocularTracker:
     def _looked_for(self, picture: NDArray[np.uint8]) -> tuple[FrameProblem, Estimate, Appearance]:
         """A face of generic albedo, laid on the picture's; raises `InputError` where there seems to be none."""
         surface, least = self.surface, self.settings.least_face_score
-        found = find_face(surface, self.camera, picture)
-        if found is None or found.score < least:
-            score = "" if found is None else f", the best place is {found.score:.2f} like one"
+        faces = find_faces(surface, self.camera, picture, RIVAL_SHARE * least)
+        if not faces or faces[0].score < least:
+            score = f", the best place is {faces[0].score:.2f} like one" if faces else ""
             raise InputError(
                 f"no face in the picture{score}",
                 expected=f"a face seen from the front, {least:.2f} like one",
                 remedy="Give a detector's points for this frame, or begin at a frame that shows the face from the front.",
             )
+        found, others = followed(faces)
+        self._others = len(others)
         problem = self._first_problem(picture, surface.at_rest(found.camera_from_head), [])
         fits = [self._laid(problem, surface.at_rest(place)) for place in mistaken(found)]
         best = max(fits, key=lambda fit: _correlation(fit.look, surface.triangles, fit.appearance.trust))
@@ -273,11 +283,20 @@ class MonocularTracker:
     def _fitted(
         self, state: FrameState, problem: FrameProblem, estimate: Estimate, appearance: Appearance, grey: NDArray
     ) -> FrameResult | None:
-        """Coarse to fine from a start; None where the picture does not agree with what comes out."""
+        """Coarse to fine from a start; None where the picture does not agree with what comes out.
+
+        On coarse resolutions the head's motion comes first, by the skin that expressions move least, then jaw and expression on
+        a head held still: together they mistake a jaw that opens for a head that nods, and stay there. The finest has all free.
+        """
         slopes, free, last = self.surface.slopes(estimate), self._free(), len(problem.levels) - 1
-        for level in reversed(range(last + 1)):
-            fit = descend(problem, estimate, appearance, level, free, slopes)
+        rigid, steady = np.arange(len(free)) < RIGID.stop, appearance.trust * self._steadiness
+        for level in range(last, 0, -1):
+            fit = descend(problem, estimate, replace(appearance, trust=steady), level, free & rigid, slopes)
+            estimate, appearance = fit.estimate, replace(appearance, light=fit.appearance.light)
+            fit = descend(problem, estimate, appearance, level, free & ~rigid, slopes)
             estimate, appearance = fit.estimate, fit.appearance
+        fit = descend(problem, estimate, appearance, 0, free, slopes)
+        estimate, appearance = fit.estimate, fit.appearance
         return self._remember(state, problem, estimate, appearance, grey, slopes)
 
     def _free(self) -> NDArray[np.bool_]:
@@ -365,6 +384,8 @@ class MonocularTracker:
         alike = _correlation(look, self.surface.triangles, appearance.trust)
         settings = self.settings
         good = inliers >= settings.least_inliers and visible >= settings.least_visible and alike >= settings.least_correlation
+        if state is FrameState.RESTARTED:
+            good &= noise <= settings.restart_growth * self._noise
         if not good:
             return None
         if state is FrameState.TRACKED:
