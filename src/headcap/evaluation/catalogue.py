@@ -129,6 +129,11 @@ CATALOGUE: dict[str, FigureKind] = {
     "lips.ps_error_drop_pct": FigureKind("%", "what a person's own regressor takes off the base tracker's error", 30.0, True),
     "lips.ms_error_drop_pct": FigureKind("%", "what a regressor of several persons takes off it", 30.0, True),
     "lips.gr_error_drop_pct": FigureKind("%", "what a regressor that never saw the person takes off it", 25.0, True),
+    "lips.base_shape_error_mm": _stated(
+        "mm", "base tracker's mouth after one more rigid alignment, of the mouth alone: its shape"
+    ),
+    "lips.shape_error_mm": _stated("mm", "the same, corrected"),
+    "lips.shape_error_drop_pct": _stated("%", "what the correction takes off it", at_least=True),
     "lips.base_gap_error_mm": _stated("mm", "distance between the lips of the base tracker, rms error"),
     "lips.gap_error_mm": _stated("mm", "the same, corrected"),
     "lips.base_roll_error_deg": _stated("deg", "how far the lips' cross-sections are rolled in or out, base tracker, mean error"),

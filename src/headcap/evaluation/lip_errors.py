@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from headcap.artifacts import load_arrays, save_arrays
 from headcap.errors import InputError
 from headcap.evaluation.lip_sections import LipSections
+from headcap.geometry.transforms import fit_rigid, transform
 from headcap.lips.correction import canonical_meshes, canonical_truth
 from headcap.lips.mouth import Mouth
 
@@ -42,6 +43,9 @@ class LipErrors:
     """(m, f) mean over the vertices of their distance to the truth."""
     square_mm2: NDArray[np.float64]
     """(m, f) mean over the vertices of its square."""
+    shape_error_mm: NDArray[np.float64]
+    """(m, f) as `error_mm` after one more rigid alignment, of the mask's own vertices: what is wrong with its shape. Where
+    the base tracker has the mouth, corrections of gradients leave alone (section 4.2)."""
     vertex_error_mm: NDArray[np.float64]
     """(m, k) mean distance over the frames that a method answered; NaN where it answered none."""
     gap_mm: NDArray[np.float64]
@@ -92,6 +96,7 @@ _ARRAYS = (
     "vertices",
     "error_mm",
     "square_mm2",
+    "shape_error_mm",
     "vertex_error_mm",
     "gap_mm",
     "roll_deg",
@@ -160,7 +165,7 @@ class _Scores:
         self.base_neutral = np.asarray(reference.base_neutral, np.float64)
         self.anchor, self.scale = canonical_truth(reference.truth_neutral, self.base_neutral, reference.mouth.steady)
         self.truth_known = np.zeros(frames, bool)
-        self.error, self.square, self.roll_error = (np.full((methods, frames), np.nan) for _ in range(3))
+        self.error, self.square, self.shape, self.roll_error = (np.full((methods, frames), np.nan) for _ in range(4))
         self.gap, self.roll = np.full((methods + 1, frames), np.nan), np.full((methods + 1, frames, 2), np.nan)
         self.vertex_sums = np.zeros((methods, len(self.vertices)))
 
@@ -182,6 +187,7 @@ class _Scores:
             self.roll_error[row, frame] = turned.mean()
             if np.isfinite(self.error[row, frame]):
                 self.vertex_sums[row] += away
+                self.shape[row, frame] = unit * _shape_error(placed[self.vertices], true[self.vertices])
 
     def arrays(self) -> dict[str, NDArray | float]:
         """What `LipErrors` holds of it."""
@@ -193,12 +199,18 @@ class _Scores:
             "vertices": self.vertices,
             "error_mm": self.error,
             "square_mm2": self.square,
+            "shape_error_mm": self.shape,
             "vertex_error_mm": vertex_error,
             "gap_mm": self.gap,
             "roll_deg": self.roll,
             "roll_error_deg": self.roll_error,
             "scale": float(self.scale),
         }
+
+
+def _shape_error(points: NDArray, true: NDArray) -> float:
+    """Mean distance of points (k, 3) to true ones (k, 3), rigidly moved onto them."""
+    return float(np.linalg.norm(transform(fit_rigid(points, true), points) - true, axis=1).mean())
 
 
 def _together(sequences: list[Iterable[NDArray]], frames: int) -> Iterator[tuple[NDArray, ...]]:

@@ -72,6 +72,10 @@ class LipRow:
     """The base tracker's mu over the same frames."""
     drop_pct: Estimate
     """What the method takes off the base tracker's error, % of it."""
+    shape_error_mm: Estimate
+    """Mean error after one more rigid alignment, of the mouth alone: its shape, apart from where it is."""
+    shape_drop_pct: Estimate
+    """What the method takes off the base tracker's error of shape, % of it."""
     gap_error_mm: float
     """rms error of the distance between the lips."""
     roll_error_deg: float
@@ -206,7 +210,7 @@ def _row(scope: str, method: str, takes: Sequence[LipErrors], settings: LipStudy
     if not used:
         return None
     sums = np.array([_sums(take, method) for take in used])
-    frames, error, base, square, gap, roll = sums.sum(axis=0)
+    frames, error, base, square, gap, roll, *_ = sums.sum(axis=0)
     mean = error / frames
     layers, layer_deviation = _layer(used, method, settings)
     return LipRow(
@@ -219,6 +223,8 @@ def _row(scope: str, method: str, takes: Sequence[LipErrors], settings: LipStudy
         deviation_mm=float(np.sqrt(max(square / frames - mean**2, 0.0))),
         base_error_mm=float(base / frames),
         drop_pct=_estimate(sums, _drop_pct, settings),
+        shape_error_mm=_estimate(sums[:, [0, -2, -1]], _mean, settings),
+        shape_drop_pct=_estimate(sums[:, [0, -2, -1]], _drop_pct, settings),
         gap_error_mm=float(np.sqrt(gap / frames)),
         roll_error_deg=float(roll / frames),
         layer_error=layers,
@@ -227,10 +233,12 @@ def _row(scope: str, method: str, takes: Sequence[LipErrors], settings: LipStudy
 
 
 def _sums(take: LipErrors, method: str) -> list[float]:
-    """Frames, and sums over them: error, the base's error, squared error, squared error of the gap, error of the roll."""
+    """Frames, and sums over them: error, the base's error, squared error, squared error of the gap, error of the roll; errors of
+    shape, own and the base's."""
     row, used = take.row(method), take.common
     gap = take.gap_mm[row] - take.gap_mm[-1]
     parts = (take.error_mm[row], take.error_mm[0], take.square_mm2[row], gap**2, take.roll_error_deg[row])
+    parts += (take.shape_error_mm[row], take.shape_error_mm[0])
     return [float(used.sum()), *(float(part[used].sum()) for part in parts)]
 
 
@@ -265,6 +273,7 @@ def _named(rows: Mapping[str, LipRow]) -> dict[str, float]:
     if BASE in rows:
         base = rows[BASE]
         out = {"lips.base_error_mm": base.error_mm.value, "lips.base_gap_error_mm": base.gap_error_mm}
+        out["lips.base_shape_error_mm"] = base.shape_error_mm.value
         out |= {"lips.base_roll_error_deg": base.roll_error_deg, "lips.base_unanswered_frames": float(base.unanswered)}
     if CONTOUR in rows:
         out["lips.contour_error_mm"] = rows[CONTOUR].error_mm.value
@@ -276,6 +285,7 @@ def _named(rows: Mapping[str, LipRow]) -> dict[str, float]:
     found = next((rows[relation] for relation in reversed(RELATIONS) if relation in rows), None)
     if found is not None:
         out |= {"lips.error_mm": found.error_mm.value, "lips.gap_error_mm": found.gap_error_mm}
+        out |= {"lips.shape_error_mm": found.shape_error_mm.value, "lips.shape_error_drop_pct": found.shape_drop_pct.value}
         out |= {"lips.roll_error_deg": found.roll_error_deg, "lips.unanswered_frames": float(found.unanswered)}
     return out
 

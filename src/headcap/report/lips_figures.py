@@ -90,17 +90,19 @@ def _headroom(low: float, high: float) -> tuple[float, float]:
 def _bars(axes, rows: Mapping[str, LipRow], paper: Mapping[str, tuple[float, float]], name: str, unit: str) -> None:
     """Ours, with intervals where several takes tell them, and the paper's."""
     methods = [method for method in rows if method in paper or method == AFFINE]
-    digits = 1 if unit == "mm" else 2
+    digits = 2 if unit == "mm" else 3
     for place, method in enumerate(methods):
         estimate: Estimate = getattr(rows[method], name)
         axes.bar(place - 0.2, estimate.value, 0.38, color=SECOND if method == BASE else ACCENT, label=None)
         if estimate.low is not None:
             low, high = max(estimate.value - estimate.low, 0.0), max(estimate.high - estimate.value, 0.0)
             axes.errorbar(place - 0.2, estimate.value, [[low], [high]], color=INK, capsize=3, linewidth=1)
-        axes.annotate(f"{estimate.value:.2f}", (place - 0.2, 0), (0, 3), textcoords="offset points", ha="center", color="white")
+        axes.annotate(
+            f"{estimate.value:.{digits}f}", (place - 0.2, 0), (0, 3), textcoords="offset points", ha="center", color="white"
+        )
         if method in paper:
             axes.bar(place + 0.2, paper[method][0], 0.38, color=FAINT)
-            axes.annotate(f"{paper[method][0]:.{digits}f}", (place + 0.2, 0), (0, 3), textcoords="offset points", ha="center")
-    names = [f"{TOLD[method]}\n{rows[method].takes} takes" for method in methods]
+            axes.annotate(f"{paper[method][0]:.{digits - 1}f}", (place + 0.2, 0), (0, 3), textcoords="offset points", ha="center")
+    names = [TOLD[method].replace(" ", "\n", 1) + f"\n{rows[method].takes} takes" for method in methods]
     axes.set(xticks=range(len(methods)), xticklabels=names, ylabel=unit)
     axes.grid(axis="x", visible=False)

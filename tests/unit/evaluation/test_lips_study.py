@@ -55,6 +55,8 @@ def test_rigid_motion_and_size_are_no_error_and_a_shift_is_its_length_in_the_tru
     # rounding of metres by some dozen operations, in millimetres
     np.testing.assert_allclose(errors.error_mm, [[0, 0, 3 * SIZE], [0, 3 * SIZE, 0]], atol=1e-9)
     np.testing.assert_allclose(errors.square_mm2, errors.error_mm**2, atol=1e-9)
+    # the mouth as a whole is elsewhere, its shape is right
+    np.testing.assert_allclose(errors.shape_error_mm, 0, atol=1e-9)
     np.testing.assert_allclose(errors.vertex_error_mm[0], SIZE, atol=1e-9)
     np.testing.assert_allclose(errors.gap_mm, errors.gap_mm[0, 0], atol=1e-9)
     np.testing.assert_allclose(errors.roll_error_deg, 0, atol=1e-7)
@@ -151,6 +153,7 @@ def errors_of(person, take, seed, base=4.0, frames=50, **drops):
         vertices=np.arange(3),
         error_mm=error,
         square_mm2=error**2 + 0.25,
+        shape_error_mm=0.5 * error,
         vertex_error_mm=np.ones((m, 3)),
         gap_mm=curves,
         roll_deg=np.zeros((m + 1, frames, 2)),
@@ -173,6 +176,8 @@ def test_drops_are_shares_of_the_bases_error_whatever_takes_are_drawn(study):
         assert value == pytest.approx(25.0)
     assert row.error_mm.value == pytest.approx(0.75 * row.base_error_mm)
     assert row.error_mm.low < row.error_mm.value < row.error_mm.high
+    assert row.shape_error_mm.value == pytest.approx(0.5 * row.error_mm.value)
+    assert row.shape_drop_pct.low == pytest.approx(25.0)
     assert row.error_cm[0] == pytest.approx(0.1 * row.error_mm.value)
     assert [row.method for row in study.table_1()] == ["base", "PS", "GR"]
     assert list(study.by_inputs("GR")) == ["combined", "affine"]

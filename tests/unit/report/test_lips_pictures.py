@@ -45,6 +45,7 @@ def errors(mouth):
         vertices=mouth.vertices,
         error_mm=error,
         square_mm2=1.1 * error**2,
+        shape_error_mm=0.5 * error,
         vertex_error_mm=np.repeat(6 * share[:, None], len(mouth.vertices), axis=1),
         gap_mm=np.concatenate([(1 - 0.5 * share)[:, None] * truth, truth[None]]),
         roll_deg=roll,
