@@ -131,7 +131,8 @@ def compare_lips(
 
     `sequences` holds "base" at least; each may be an array (f, n, 3), a memory map or an iterator, in any frame: one frame of
     each is held at a time. A mesh that is not finite is a frame without an answer (or without truth). `layer_errors` (f,) are
-    those of `layer_error`, by method. Raises `InputError` without a base, for another topology or numbers of frames that differ.
+    those of `layer_error`, by method. Truth of another topology is carried over first (`lips.correspondence`). Raises
+    `InputError` without a base, for another topology or numbers of frames that differ.
     """
     if BASE not in sequences:
         raise _refused(f"sequences {', '.join(sequences) or 'none'}", f"one called {BASE}")

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from headcap.cameras import Camera
 from headcap.errors import InputError
+from headcap.geometry.transforms import fit_similarity, transform
 from headcap.lips.correction import CanonicalMeshes, canonical_meshes
 from headcap.lips.features import LipContours
 from headcap.lips.mesh_contours import MeshContours, Opening
@@ -140,7 +141,10 @@ class ContourTracker:
 def person_tracker(
     base_shapes: NDArray, lip_shapes: NDArray, see: MeshContours, camera: Camera, settings: ContourTrackingSettings | None = None
 ) -> ContourTracker:
-    """A tracker with a base tracker's shapes (e, n, 3), in standard deviations, and a person's lip blendshapes (b, n, 3)."""
+    """A tracker with a base tracker's shapes (e, n, 3) and a person's lip blendshapes (b, n, 3) appended.
+
+    The base's are in standard deviations, as `features.tracking_shapes` gives a head model's.
+    """
     settings = settings or ContourTrackingSettings()
     lip_deviation = settings.lip_deviation / np.sqrt(max(len(lip_shapes), 1))
     deviations = np.repeat([settings.base_deviation, lip_deviation], [len(base_shapes), len(lip_shapes)])
@@ -177,11 +181,14 @@ def lip_blendshapes(shapes: NDArray, neutral: NDArray, base_neutral: NDArray, mo
     """(b, n, 3) displacements of a base-tracked neutral head (n, 3): shapes (b, n, 3) of the true neutral one (n, 3) on it.
 
     By deformation transfer (Sumner & Popovic 2004), placed by the skin above the mouth that holds still; at the rim of the
-    mouth's mask they fade to nothing as corrections do, so that they shape lips alone.
+    mouth's mask they fade to nothing as corrections do, so that they shape lips alone. The true head and its shapes share any
+    frame and size.
     """
     anchors = np.zeros(len(neutral), bool)
     anchors[mouth.steady] = True
-    moved = DeformationTransfer(neutral, base_neutral, mouth.triangles, anchors)(shapes) - base_neutral
+    placement, scale = fit_similarity(neutral[mouth.steady], base_neutral[mouth.steady])
+    source, shapes = (transform(placement, scale * meshes) for meshes in (neutral, shapes))
+    moved = DeformationTransfer(source, base_neutral, mouth.triangles, anchors)(shapes) - base_neutral
     return moved * _vertex_fade(np.asarray(base_neutral, np.float64), mouth)[:, None]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from headcap.errors import InputError
+from headcap.geometry.transforms import from_vector, transform
 from headcap.lips.contour_tracking import (
     ContourTracker,
     ContourTrackingSettings,
@@ -132,6 +133,15 @@ def test_shapes_on_the_same_head_are_the_persons_own_within_the_mask(stage, subj
     np.testing.assert_allclose((subject.neutral_m + lips)[:, inside], shapes[:, inside], atol=1e-9)
     outside = np.setdiff1d(np.arange(len(subject.neutral_m)), stage.mouth.triangles[stage.mouth.patch])
     assert np.abs(lips[:, outside]).max() == 0.0
+
+
+def test_shapes_of_a_head_elsewhere_and_of_another_size_are_the_same(stage, subject, training):
+    shapes = expressive_shapes(training, subject.neutral_m, stage.mouth, 2)
+    other, move = mesh_subject(22).neutral_m, from_vector(np.array([0.4, -1.2, 0.3, 0.5, 0.1, 2.0]))
+    expected = lip_blendshapes(shapes, subject.neutral_m, other, stage.mouth)
+    moved = (transform(move, 1.3 * meshes) for meshes in (shapes, subject.neutral_m))
+    np.testing.assert_allclose(lip_blendshapes(*moved, other, stage.mouth), expected, atol=1e-9)
+    assert np.abs(expected).max() > 1e-3
 
 
 def test_frames_without_contours_have_no_answer(stage, subject, lips):
