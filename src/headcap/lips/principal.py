@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from headcap.geometry.leading_directions import principal_components
-
-_BLOCK = 512
-"""Frames copied at once: 10 MB at 5 thousand numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +31,7 @@ class PrincipalCorrections:
 
 
 def principal_corrections(takes: Sequence[NDArray[np.float32]], count: int, seed: int = 0) -> PrincipalCorrections:
-    """Leading components of takes of (f, p) numbers, which may be memory maps: read some ten times and never copied whole."""
-
-    def blocks() -> Iterator[NDArray]:
-        return (take[first : first + _BLOCK] for take in takes for first in range(0, len(take), _BLOCK))
-
-    found = principal_components(blocks, takes[0].shape[1], count, seed=seed)
+    """Leading components of takes of (f, p) numbers, which may be memory maps; they are read nine times and never copied."""
+    found = principal_components(lambda: takes, takes[0].shape[1], count, seed=seed)
     coordinates = tuple(found.coordinates(take).astype(np.float64) for take in takes)
-    components = found.directions.vectors.astype(np.float32)
-    return PrincipalCorrections(found.mean.astype(np.float32), components, coordinates, found.directions.energy)
+    return PrincipalCorrections(found.mean, found.vectors, coordinates, found.energy)

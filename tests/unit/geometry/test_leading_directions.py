@@ -56,25 +56,25 @@ def test_what_never_settles_is_the_best_of_the_last_pass(rng, monkeypatch):
     assert np.linalg.norm(matrix @ found.vectors.T, axis=0) == pytest.approx(found.values, rel=1e-9)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_principal_components_are_directions_about_the_mean(rng, dtype):
-    rows = (_matrix(rng) + rng.normal(size=120)).astype(dtype)
+def test_principal_components_are_directions_about_the_mean(rng):
+    rows = (_matrix(rng) + rng.normal(size=120)).astype(np.float32)
     found = principal_components(lambda: (rows[i : i + 70] for i in range(0, 300, 70)), 120, 6)
     exact = rows.astype(float)
     about = exact - exact.mean(axis=0)
     _, values, vectors = np.linalg.svd(about, full_matrices=False)
     assert np.allclose(found.mean, exact.mean(axis=0), atol=1e-6)
-    assert found.directions.values == pytest.approx(values[:6], rel=0.01)
-    assert found.directions.energy == pytest.approx((values**2).sum(), rel=1e-5)
+    assert found.energy == pytest.approx((values**2).sum(), rel=1e-5)
+    assert np.allclose(found.vectors @ found.vectors.T, np.eye(6), atol=1e-6)
+    # after three passes the nineteenth direction is (0.8^13)^7 of the sixth: what single precision leaves of rows near 1
+    assert np.linalg.svd(found.vectors @ vectors[:6].T)[1].min() > 1 - 1e-5
     coordinates = found.coordinates(rows)
-    assert coordinates.dtype == dtype
-    assert np.allclose(coordinates, about @ found.directions.vectors.T, atol=1e-5)
-    assert np.linalg.svd(found.directions.vectors @ vectors[:6].T)[1].min() > 0.99
+    assert np.allclose(coordinates, about @ found.vectors.T, atol=1e-5)
+    assert (np.diff((coordinates**2).sum(axis=0)) < 0).all()
 
 
 def test_components_of_rounding_are_left_out(rng):
     rows = (rng.normal(size=(50, 3)) @ rng.normal(size=(3, 200)) + 5.0).astype(np.float32)
-    assert len(principal_components(lambda: [rows], 200, 20).directions.values) == 3
+    assert len(principal_components(lambda: [rows], 200, 20).vectors) == 3
 
 
 def falling_rows(random: np.random.Generator, rows: int, columns: int, decay: float) -> np.ndarray:
