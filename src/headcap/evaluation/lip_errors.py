@@ -6,7 +6,7 @@ base's size, which one camera cannot tell; errors are then given in the true per
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -126,19 +126,21 @@ def compare_lips(
     person: str,
     take: str,
     layer_errors: Mapping[str, NDArray] | None = None,
+    knowing: Collection[str] = (),
 ) -> LipErrors:
     """Errors of base-tracked and corrected meshes (n, 3) by method, frame by frame, against true ones, metres.
 
     `sequences` holds "base" at least; each may be an array (f, n, 3), a memory map or an iterator, in any frame: one frame of
     each is held at a time. A mesh that is not finite is a frame without an answer (or without truth). `layer_errors` (f,) are
-    those of `layer_error`, by method. Truth of another topology is carried over first (`lips.correspondence`). Raises
+    those of `layer_error`, by method. Methods `knowing` the person's true neutral head have it in the
+    base's place and are aligned by it. Truth of another topology is carried over first (`lips.correspondence`). Raises
     `InputError` without a base, for another topology or numbers of frames that differ.
     """
     if BASE not in sequences:
         raise _refused(f"sequences {', '.join(sequences) or 'none'}", f"one called {BASE}")
     names = (BASE, *(name for name in sequences if name != BASE))
     frames, regressed = len(time_s), layer_errors or {}
-    scored = _Scores(reference, len(names), frames)
+    scored = _Scores(reference, [name in knowing for name in names], frames)
     for frame, meshes in enumerate(_together([truth, *(sequences[name] for name in names)], frames)):
         scored.add(frame, meshes[0], meshes[1:])
     layers = [np.asarray(regressed.get(name, np.full(frames, np.nan)), np.float64) for name in names]
@@ -161,10 +163,11 @@ def layer_error(predicted: NDArray, true: NDArray) -> NDArray[np.float64]:
 class _Scores:
     """Rows of `LipErrors`, filled frame by frame."""
 
-    def __init__(self, reference: LipReference, methods: int, frames: int) -> None:
-        self.reference, self.vertices = reference, reference.mouth.vertices
+    def __init__(self, reference: LipReference, knowing: Sequence[bool], frames: int) -> None:
+        self.reference, self.vertices, methods = reference, reference.mouth.vertices, len(knowing)
         self.base_neutral = np.asarray(reference.base_neutral, np.float64)
         self.anchor, self.scale = canonical_truth(reference.truth_neutral, self.base_neutral, reference.mouth.steady)
+        self.neutrals = [self.anchor if knows else self.base_neutral for knows in knowing]
         self.truth_known = np.zeros(frames, bool)
         self.error, self.square, self.shape, self.roll_error = (np.full((methods, frames), np.nan) for _ in range(4))
         self.gap, self.roll = np.full((methods + 1, frames), np.nan), np.full((methods + 1, frames, 2), np.nan)
@@ -178,7 +181,7 @@ class _Scores:
         self.truth_known[frame] = bool(np.isfinite(true[self.vertices]).all())
         self.gap[-1, frame], self.roll[-1, frame] = unit * sections.gap(true).mean(), np.degrees(roll.mean(axis=1))
         for row, mesh in enumerate(meshes):
-            placed = canonical_meshes(np.asarray(mesh)[None], self.base_neutral, steady).meshes[0]
+            placed = canonical_meshes(np.asarray(mesh)[None], self.neutrals[row], steady).meshes[0]
             away = unit * np.linalg.norm(placed[self.vertices] - true[self.vertices], axis=1)
             self.error[row, frame], self.square[row, frame] = away.mean(), (away**2).mean()
             own = sections.roll(placed)

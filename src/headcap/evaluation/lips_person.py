@@ -18,6 +18,8 @@ from headcap.lips.people import LipPerson
 from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.lips.training import RegressorPlan, as_seen_by, regressed
 
+KNOWING = ("PS", "MS")
+"""Regressors that put the person's true neutral head in (`SeenTake.known`)."""
 HELD_WEIGHT = 1.0
 """Of the outer contour as a constraint, for the row "GR reprojected"."""
 _BASELINE_EXPRESSIONS = 40
@@ -72,7 +74,16 @@ def _judged(
     seen, truth = take.seen, take.true_meshes()
     reference = LipReference(space.mouth, _sections(space), seen.neutral, person.neutral)
     sequences = {BASE: seen.base.world(seen.base.meshes).astype(np.float32)} | dict(corrected)
-    errors = compare_lips(reference, truth, sequences, take.time_s, person=person.name, take=name, layer_errors=layers)
+    errors = compare_lips(
+        reference,
+        truth,
+        sequences,
+        take.time_s,
+        person=person.name,
+        take=name,
+        layer_errors=layers,
+        knowing=[method for method in corrected if method.split()[0] in KNOWING],
+    )
     return JudgedTake(errors, sequences | {"truth": truth})
 
 

@@ -1,4 +1,4 @@
-"""Regressors of a study's lips: whom and what each is trained on, and what it does for a person (lip paper, sections 5.2 and 6)."""
+"""Regressors of a study's lips: whom and what each is trained on, and what it does for a person (lip paper, section 6)."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class LipTrainingSettings(BaseModel):
 
     test_takes: tuple[str, ...] = Field(
         default=(),
-        description="Takes of these names test what people's own regressors and their common one learnt from the rest.",
+        description="Takes of these names test people's own regressors and their common one, which learn the rest.",
     )
     pictures_per_take: int = Field(
         12, ge=1, description="Frames of each training take that the contour detector learns from, evenly spread"
@@ -87,8 +87,8 @@ def train_lips(
 ) -> LipRegressor:
     """One regressor of a study; raises `InputError` for too few frames.
 
-    GR learns from all takes of its people, as strangers are seen: on the neutral head that the base tracker believes in. MS and PS
-    leave out test takes, and put the person's true neutral head in first (`SeenTake.known`), which the rig has measured.
+    GR learns from all takes of its people, as strangers are seen: on the neutral head that the base tracker believes in. MS and
+    PS leave out test takes, and put the person's true neutral head in first (`SeenTake.known`), which the rig has measured.
     """
     chosen = [person for person in people if person.name in plan.people]
     left_out = () if plan.relation == "GR" else settings.test_takes

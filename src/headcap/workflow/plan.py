@@ -13,8 +13,8 @@ from pydantic import BaseModel
 
 from headcap.calibration.board import BoardSettings, read_board
 from headcap.errors import InputError, InputErrors
-from headcap.neck.voice.training import Voice
 from headcap.lips.training import RegressorPlan, planned_regressors
+from headcap.neck.voice.training import Voice
 from headcap.settings import MeshSubject, Session, Study, disagreements, known_figures, session_files
 from headcap.synthetic.settings import MeshRehearsalSettings, RehearsalSettings, TakeSettings
 from headcap.workflow.validation import KeyedInputError, validate

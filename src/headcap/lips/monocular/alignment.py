@@ -1,6 +1,6 @@
 """A generic face drawn to the one in the picture by optical flow, where brightness alone would settle beside it.
 
-Between a face of generic albedo and a picture, blotches and lamps differ more than a shift of a few pixels does. Both are therefore
+Between a face of generic albedo and a picture, blotches and lamps differ more than a shift of a few pixels does. Both are
 normalised locally in brightness and redness, so that what faces share (lips, nostrils, lids, irises, brows) stands out, and the
 dense flow (DIS) between the two tells where each of these has to go.
 """
