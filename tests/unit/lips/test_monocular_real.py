@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import av
 import numpy as np
 import pytest
 
@@ -68,8 +67,8 @@ def _own_motion(meshes: list[np.ndarray], marks: np.ndarray, moving: int) -> np.
 
 @pytest.mark.real
 def test_a_real_face_is_found_and_followed_unaided(test_data: Path):
-    with av.open(test_data / "talking_faces" / "sbwe5n.mpg") as container:
-        pictures = [frame.to_ndarray(format="bgr24") for frame in container.decode(video=0)][:12]
+    with VideoFrames(test_data / "talking_faces" / "sbwe5n.mpg") as video:
+        pictures = [video[k] for k in range(12)]
     tracker = MonocularTracker(procedural_model(), unknown_camera(360, 288), focal_known=False)
     results = [tracker.start(pictures[0]), *(tracker.follow(picture) for picture in pictures[1:])]
     assert all(result.state is FrameState.TRACKED for result in results[1:])
