@@ -12,6 +12,7 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_rigid, rigid, rotation_angle, transform
 from headcap.heads import HeadCoefficients, HeadModel, procedural_model
+from headcap.lips.foreign_tracks import BaseTrack
 from headcap.lips.monocular import detections, harmonics
 from headcap.lips.monocular.pictures import levels_of, resized
 from headcap.lips.monocular.problem import Appearance, FrameProblem, Prior
@@ -178,6 +179,18 @@ def test_the_layer_is_recovered_where_albedo_and_light_are_known():
     assert np.abs(away[1][:, 2]).mean() < 0.7 * np.abs(away[0][:, 2]).mean()
 
 
+def test_over_a_gap_a_face_may_change_as_over_its_frames(started: Started):
+    surface, at = started.tracker.surface, started.first
+    free, one, three = (
+        (Prior.of(surface, SETTINGS).near(surface, at, SETTINGS, steps) if steps else Prior.of(surface, SETTINGS)).precision
+        for steps in (0, 1.0, 3.0)
+    )
+    moving = slice(surface.expression_columns.start - 3, surface.expression_columns.stop)
+    # a random walk: variances of steps add up
+    np.testing.assert_allclose(1 / (three - free)[moving], 3 / (one - free)[moving])
+    np.testing.assert_array_equal(three[surface.shape_columns], free[surface.shape_columns])
+
+
 def test_a_track_holds_the_layer(studio: Studio, tmp_path):
     pictures, points = [studio.picture(studio.still)] * 2, {0: studio.points(studio.still)}
     settings = SETTINGS.model_copy(update={"harmonics": 4, "iterations": 2})
@@ -293,6 +306,7 @@ def test_a_video_becomes_a_track(studio: Studio, tmp_path):
     track = track_video(studio.model, studio.camera, pictures, np.arange(4) / 25, {1: studio.points(studio.still)}, SETTINGS)
     assert track.states[:3] == (FrameState.LOST, FrameState.STARTED, FrameState.LOST)
     assert track.answered.tolist() == [False, True, False, True]
+    assert isinstance(track, BaseTrack)
     track.save(tmp_path / "track.npz")
     again = MonocularTrack.load(tmp_path / "track.npz")
     assert again.states == track.states
@@ -324,6 +338,8 @@ def test_what_cannot_be_tracked_is_refused(studio: Studio, started: Started):
         fresh.start(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), upside_down)
     with pytest.raises(InputError, match="detected points"):
         track_video(studio.model, studio.camera, [], np.zeros(0), {3: studio.points(studio.still)}, SETTINGS)
+    with pytest.raises(InputError, match=r"frame 2 at 0\.040 s behind one at 0\.080 s"):
+        track_video(studio.model, studio.camera, [], np.array([0.0, 0.08, 0.04]), {}, SETTINGS)
     with pytest.raises(InputError, match="without pictures"):
         track_video(studio.model, studio.camera, [], np.zeros(0), {}, SETTINGS)
 

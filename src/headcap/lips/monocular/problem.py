@@ -68,11 +68,11 @@ class Prior:
         precision[-1] = settings.focal_spread**-2
         return cls(precision, np.zeros(surface.unknowns))
 
-    def near(self, surface: FaceSurface, before: Estimate, settings: MonocularSettings) -> Prior:
-        """This prior and that of a frame's change from the one before."""
+    def near(self, surface: FaceSurface, before: Estimate, settings: MonocularSettings, steps: float = 1.0) -> Prior:
+        """This prior and that of a frame's change from the one before, `steps` usual intervals ago: a random walk."""
         step = np.zeros(surface.unknowns)
-        step[JAW] = np.radians(settings.jaw_step_deg) ** -2.0
-        step[surface.expression_columns] = settings.expression_step**-2
+        step[JAW] = np.radians(settings.jaw_step_deg) ** -2.0 / steps
+        step[surface.expression_columns] = settings.expression_step**-2 / steps
         return Prior(self.precision + step, self.pull + step * before.coordinates)
 
     def energy(self, estimate: Estimate) -> float:

@@ -128,7 +128,9 @@ def track_video(
 
     `detections` are points (68, 468 or 478, 2) by frame number. The first frame that has any starts the tracker and should show
     a neutral face; later ones help where they are given. Without any, the first frame in which a frontal face is found starts
-    it. Frames before are without an answer. Raises `InputError` where nothing starts, or pictures and times differ in number.
+    it: the largest, and none where two are about as large. Frames before, those in which the face is hidden, turned away or gone,
+    are marked `LOST` and NaN. Raises `InputError` where nothing starts, where times do not rise, and where pictures and times
+    differ in number.
     """
     time_s = np.asarray(time_s, float)
     given = {k: points for k, points in (detections or {}).items() if 0 <= k < len(time_s) and len(points) in SCHEMES}
@@ -139,11 +141,12 @@ def track_video(
             remedy="Give a detector's file for this video.",
         )
     tracker = MonocularTracker(model, camera, settings, focal_known=focal_known)
+    steps = _steps(time_s)
     results: list[FrameResult | None] = []
     refusal: InputError | None = None
     for k, picture in enumerate(pictures):
         if any(results):
-            results.append(tracker.follow(picture, given.get(k)))
+            results.append(tracker.follow(picture, given.get(k), steps[k] if k < len(steps) else 1.0))
         elif given:
             results.append(tracker.start(picture, given[k]) if k == min(given) else None)
         else:
@@ -154,6 +157,21 @@ def track_video(
     if len(results) != len(time_s):
         raise InputError(f"{len(results)} pictures", expected=f"{len(time_s)}, one per moment", remedy="Read the video whole.")
     return _joined(model, camera, tracker, time_s, results)
+
+
+def _steps(time_s: NDArray) -> NDArray[np.float64]:
+    """(f,) intervals before frames at rising times (f,), over the usual one: frames drop out, and telephones vary their rate."""
+    if len(time_s) < 2:
+        return np.ones(len(time_s))
+    intervals = np.diff(time_s)
+    if not (intervals > 0).all():
+        at = int(np.flatnonzero(~(intervals > 0))[0])
+        raise InputError(
+            f"frame {at + 1} at {time_s[at + 1]:.3f} s behind one at {time_s[at]:.3f} s",
+            expected="times that rise from frame to frame",
+            remedy="Give each frame's own presentation time.",
+        )
+    return np.r_[1.0, intervals / np.median(intervals)]
 
 
 def _tried(tracker: MonocularTracker, picture: NDArray[np.uint8]) -> tuple[FrameResult | None, InputError | None]:

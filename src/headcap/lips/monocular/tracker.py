@@ -236,8 +236,10 @@ class MonocularTracker:
 
     # -- further frames -------------------------------------------------------------------------------------------------------
 
-    def follow(self, picture: NDArray[np.uint8], points: NDArray | None = None) -> FrameResult:
+    def follow(self, picture: NDArray[np.uint8], points: NDArray | None = None, steps: float = 1.0) -> FrameResult:
         """The next frame, from the one before; `points` (68, 468 or 478, 2), where a detector found any, help.
+
+        `steps` is how long ago that was, in the video's usual intervals: over a gap a face changes more.
 
         Raises `InputError` where nothing has been started, or for a picture of another size.
         """
@@ -248,7 +250,7 @@ class MonocularTracker:
         grey = self._grey(picture)
         given = self._given(points)
         if not self._lost:
-            result = self._from_before(levels, grey, given)
+            result = self._from_before(levels, grey, given, steps)
             if result is not None:
                 return result
         self._lost = True
@@ -267,10 +269,10 @@ class MonocularTracker:
             # a detector may see half a face: what it saw does not help, and does no harm
             return []
 
-    def _from_before(self, levels: list[Level], grey: NDArray, given: list[Features]) -> FrameResult | None:
+    def _from_before(self, levels: list[Level], grey: NDArray, given: list[Features], steps: float) -> FrameResult | None:
         """The frame from the one before, None where it is lost."""
         before = self._memory
-        prior = Prior.of(self.surface, self.settings).near(self.surface, before.estimate, self.settings)
+        prior = Prior.of(self.surface, self.settings).near(self.surface, before.estimate, self.settings, steps)
         free, slopes = self._free(), before.slopes
         sparse = given + self._flow(before, grey)
         estimate = before.estimate
