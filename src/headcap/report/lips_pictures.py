@@ -5,6 +5,7 @@ Images are (height, width, 3) uint8 RGB.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
@@ -15,17 +16,20 @@ from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
 from headcap.cameras import Camera
+from headcap.errors import InputError
 from headcap.evaluation.lip_errors import LipErrors
+from headcap.recordings.writer import write_video
 from headcap.report.figures import Image, sheet
 from headcap.report.lips_figures import TOLD
 from headcap.report.overlays import PAPER, box_of, crop, draw_mesh, draw_values, side_by_side, viewport, virtual_camera
 from headcap.report.study_pictures import plain
-from headcap.report.videos import write_video
 
 ERROR_TOP_MM = 8.0
 """Upper end of the colours of errors: twice the paper's mean."""
 _AZIMUTHS = (0.0, 60.0)
 _LABEL_PX = 22
+_CRF = 22.0
+"""H.264 quality at which a page's video is small and its meshes show no blocks."""
 
 
 def error_maps(
@@ -120,8 +124,20 @@ def side_by_side_frames(
 
 
 def write_side_by_side(path: Path | str, frames: Iterable[Image], rate_hz: float) -> None:
-    """Write what `side_by_side_frames` gives as mp4."""
-    write_video(path, frames, rate_hz)
+    """Write what `side_by_side_frames` gives as mp4; raises `InputError` without any frame."""
+    source = iter(frames)
+    first = next(source, None)
+    if first is None:
+        raise InputError("a video without pictures", expected="one at least", remedy="Give frames to show.")
+    height, width = _even(first).shape[:2]
+    numbered = enumerate(_even(image) for image in itertools.chain([first], source))
+    write_video(path, numbered, (width, height), rate_hz, crf=_CRF)
+
+
+def _even(image: Image) -> Image:
+    """With a white row or column more where a side is odd: the codec halves colours."""
+    height, width = image.shape[:2]
+    return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), constant_values=PAPER[0])
 
 
 def _panel(image: Image, told: str, known: bool) -> Image:
