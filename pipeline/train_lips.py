@@ -5,9 +5,12 @@ from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads import HeadModel
+from headcap.lips.contours import ContourDetector
+from headcap.lips.kit import LipKit
+from headcap.lips.monocular import MonocularSettings
 from headcap.lips.people import LipPersonFiles
 from headcap.lips.takes import MouthSpace
-from headcap.lips.training import LipTrainingSettings, RegressorPlan, train_lips
+from headcap.lips.training import GENERIC, LipTrainingSettings, RegressorPlan, train_lips
 
 PROGRESS = logging.getLogger("headcap.progress")
 
@@ -15,11 +18,14 @@ PROGRESS = logging.getLogger("headcap.progress")
 def run(
     *,
     base: Path,
+    detector: Path,
     files: list[Path],
     regressors: list[Path],
+    kit: Path,
     people: list[LipPersonFiles],
     plans: list[RegressorPlan],
     settings: LipTrainingSettings,
+    monocular: MonocularSettings,
 ) -> None:
     space = MouthSpace.of(HeadModel.load(base), settings.mouth)
     loaded = [person.load(space) for person in people]
@@ -42,6 +48,16 @@ def run(
             inputs=[base, *files],
             figures=figures,
         )
+        if plan.name == GENERIC:
+            LipKit(space.model, ContourDetector.load(detector), regressor, monocular, settings.search).save(kit)
+    write_manifest(
+        kit,
+        kind="lip_kit",
+        stage="train_lips",
+        settings_digest=digest_settings(settings=settings, monocular=monocular),
+        inputs=[base, detector, *files],
+        figures={},
+    )
 
 
 if "snakemake" in globals():

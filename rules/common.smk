@@ -709,5 +709,5 @@ def study_results():
     folder = f"results/{PLAN.name}"
     pages = [f"{folder}/report_neck/neck.html"] if PLAN.neck_people else []
     pages += [f"{folder}/report_lips/lips.html"] if PLAN.lip_tested else []
-    pages += lip_regressors(["generic"]) if PLAN.lip_people else []
+    pages += lip_regressors(["lips"]) if PLAN.lip_people else []
     return pages if PLAN.is_session else [*pages, f"{folder}/metrics.json"]

@@ -63,6 +63,14 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_neck_commands(add)
 
+    lips = add("lips", _lips, "The face in a single video, tracked, with its lips corrected by what a rig has taught.")
+    lips.add_argument("video", type=Path, help="any video of one face, seen from the front where it begins")
+    lips.add_argument("--regressor", type=Path, required=True, help="lips.npz of a study")
+    lips.add_argument("--camera", type=Path, help="rig.json of the camera that took it (default: focal length estimated)")
+    lips.add_argument("--camera-name", help="which of the rig's cameras")
+    lips.add_argument("--detections", type=Path, help="68, 468 or 478 landmarks by frame, JSON or CSV, of any detector")
+    lips.add_argument("--out", type=Path, required=True, help="folder to write")
+
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
     schema.add_argument("--folder", type=Path, default=Path("config/schema"))
     mode = schema.add_mutually_exclusive_group(required=True)
@@ -218,6 +226,16 @@ def _fit(options: argparse.Namespace) -> int:
         still_trunk=options.still_trunk,
     )
     for line in fit(request, options.out):
+        print(line)
+    print(f"wrote {options.out}")
+    return 0
+
+
+def _lips(options: argparse.Namespace) -> int:
+    from headcap.workflow.lips import LipRequest, correct_video
+
+    request = LipRequest(options.video, options.regressor, options.camera, options.camera_name, options.detections)
+    for line in correct_video(request, options.out):
         print(line)
     print(f"wrote {options.out}")
     return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -79,8 +79,8 @@ class LipRegressor:
         """The layer that puts its corrections into one person's base-tracked meshes with this canonical neutral (n, 3)."""
         return CorrectionLayer(mouth, base_neutral, self.identity)
 
-    def save(self, path: Path | str) -> None:
-        """Write as npz artifact `headcap.lip_regressor/1`."""
+    def to_arrays(self) -> tuple[dict[str, NDArray], dict]:
+        """Arrays and plain record that tell the regressor; `from_arrays` is the inverse."""
         found = self.regression
         arrays = {f"space/{name}": getattr(self.space, name) for name in _SPACE}
         arrays |= {"layer": self.layer, "feature_mean": found.scaling.mean, "feature_scale": found.scaling.scale}
@@ -96,22 +96,19 @@ class LipRegressor:
             "figures": found.figures,
         }
         meta |= {"settings": self.settings.model_dump(mode="json"), "mouth": self.mouth_settings.model_dump(mode="json")}
-        save_arrays(path, KIND, SCHEMA, arrays, meta)
+        return arrays, meta
 
     @classmethod
-    def load(cls, path: Path | str, model: HeadModel | None = None) -> LipRegressor:
-        """Read what `save` wrote; with a head model, refuse a regressor of any other.
-
-        Raises `ArtifactError` for another kind of file or schema, `InputError` for another topology or version.
-        """
-        arrays, meta = load_arrays(path, KIND, SCHEMA)
+    def from_arrays(cls, arrays: Mapping[str, NDArray], meta: dict) -> LipRegressor:
+        """The regressor that `to_arrays` told."""
+        meta = dict(meta)
         settings = RegressionSettings.model_validate(meta.pop("settings"))
         network = Network(
             arrays["prototypes"], meta.pop("beta"), meta.pop("alpha"), weights=arrays["weights"], bias=arrays["bias"]
         )
         scaling = FeatureScaling(settings.inputs, arrays["feature_mean"], arrays["feature_scale"])
         regression = TrainedRegression(scaling, network, arrays.get("components"), arrays["mean"], meta.pop("figures"))
-        regressor = cls(
+        return cls(
             persons=tuple(meta.pop("persons")),
             settings=settings,
             mouth_settings=MouthSettings.model_validate(meta.pop("mouth")),
@@ -120,6 +117,18 @@ class LipRegressor:
             regression=regression,
             **meta,
         )
+
+    def save(self, path: Path | str) -> None:
+        """Write as npz artifact `headcap.lip_regressor/1`."""
+        save_arrays(path, KIND, SCHEMA, *self.to_arrays())
+
+    @classmethod
+    def load(cls, path: Path | str, model: HeadModel | None = None) -> LipRegressor:
+        """Read what `save` wrote; with a head model, refuse a regressor of any other.
+
+        Raises `ArtifactError` for another kind of file or schema, `InputError` for another topology or version.
+        """
+        regressor = cls.from_arrays(*load_arrays(path, KIND, SCHEMA))
         if model is not None:
             regressor.check_model(model)
         return regressor

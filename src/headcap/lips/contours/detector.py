@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -97,20 +98,18 @@ class ContourDetector:
         out[pixels[:, 1], pixels[:, 0]] = self.classifiers[contour, which](integrals, pixels)
         return out
 
-    def save(self, path: Path | str) -> None:
-        """Write as npz artifact `headcap.lip_contour_detector/1`."""
+    def to_arrays(self) -> tuple[dict[str, NDArray], dict]:
+        """Arrays and plain record that tell the detector; `from_arrays` is the inverse."""
         arrays = {}
         for (contour, which), classifier in self.classifiers.items():
             place = f"{contour}/{which}"
             arrays |= {f"{place}/channel": classifier.pool.channel, f"{place}/boxes": classifier.pool.boxes}
             arrays |= {f"{place}/{name}": getattr(classifier.trees, name) for name in _TREES}
-        meta = {"settings": self.settings.model_dump(mode="json"), "persons": list(self.persons), "figures": self.figures}
-        save_arrays(path, KIND, SCHEMA, arrays, meta)
+        return arrays, {"settings": self.settings.model_dump(mode="json"), "persons": list(self.persons), "figures": self.figures}
 
     @classmethod
-    def load(cls, path: Path | str) -> ContourDetector:
-        """Read what `save` wrote; raises `ArtifactError` for another kind of file or schema."""
-        arrays, meta = load_arrays(path, KIND, SCHEMA)
+    def from_arrays(cls, arrays: Mapping[str, NDArray], meta: dict) -> ContourDetector:
+        """The detector that `to_arrays` told."""
         classifiers = {}
         for contour in CONTOURS:
             for which in PASSES:
@@ -118,5 +117,13 @@ class ContourDetector:
                 pool = FeaturePool(arrays[f"{place}/channel"], arrays[f"{place}/boxes"])
                 trees = BoostedTrees(*(arrays[f"{place}/{name}"] for name in _TREES))
                 classifiers[contour, which] = ContourClassifier(pool, trees)
-        settings = ContourSettings.model_validate(meta["settings"])
-        return cls(settings, classifiers, tuple(meta["persons"]), meta["figures"])
+        return cls(ContourSettings.model_validate(meta["settings"]), classifiers, tuple(meta["persons"]), meta["figures"])
+
+    def save(self, path: Path | str) -> None:
+        """Write as npz artifact `headcap.lip_contour_detector/1`."""
+        save_arrays(path, KIND, SCHEMA, *self.to_arrays())
+
+    @classmethod
+    def load(cls, path: Path | str) -> ContourDetector:
+        """Read what `save` wrote; raises `ArtifactError` for another kind of file or schema."""
+        return cls.from_arrays(*load_arrays(path, KIND, SCHEMA))
