@@ -38,7 +38,8 @@ class FoundContours:
     contours: LipContours | None
     """None where either contour looks too little like one."""
     confidence: tuple[float, float]
-    """Share of the outer and the inner contour's places that are likelier on a contour than not; 0 where none was looked for."""
+    """Share of places that are likelier on a contour than not: of the outer contour's along the lip that shows it less, of the
+    inner one's those where both rims are; 0 where none was looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,8 @@ class ContourFinder:
         own, window = self.settings, maps.window
         start = resample_ring(window.from_picture(view.border), own.places, view.left)
         ring, outer_odds = self._outer(maps, start)
-        sure_outer = float((outer_odds > 0).mean())
+        # a lip that is right does not vouch for one that was missed
+        sure_outer = float((outer_odds.reshape(2, -1) > 0).mean(axis=1).min())
         rims = self._inner(maps, ring)
         sure = sure_outer, 0.0 if rims is None else float((rims.odds[np.isfinite(rims.upper)] > 0).mean())
         if rims is None or min(sure) < own.least_share:

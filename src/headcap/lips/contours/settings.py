@@ -24,7 +24,12 @@ class AugmentationSettings(BaseModel):
 
     copies: int = Field(3, ge=1, description="Variations of each training picture")
     strength: float = Field(
-        1.0, ge=0, description="Of all variation of colour, light and sharpness; 0 takes pictures as they are"
+        1.0,
+        ge=0,
+        description="Most of all variation of colour, light and sharpness; 0 takes pictures as they are. Trained on seven "
+        "rehearsed people, contours of others err by 0.44 (outer) and 0.57 px (inner) without variation, 0.52 and 0.66 px with "
+        "it; but of clips of four real people at a third of the resolution 64 to 88 % of the frames are found without it and "
+        "80 to 100 % with it, and the share of the inner contour that looks like one rises from 0.49 to 0.76 to 0.91 to 0.95",
     )
     shift_mm: float = Field(3.0, ge=0, description="Standard deviation of the window's place")
     turn_deg: float = Field(5.0, ge=0, description="Of its turn")
@@ -76,4 +81,6 @@ class SearchSettings(BaseModel):
         ge=0,
         description="The same across the inner contour; there 0.1, 0.25, 0.5 give medians of 0.85, 0.83, 0.81 px",
     )
-    least_share: float = Field(0.6, ge=0, le=1, description="Share of a contour that must look like one, or it is not found")
+    least_share: float = Field(
+        0.5, ge=0, le=1, description="Share of either lip's contour that must look like one, or it is not found"
+    )

@@ -177,19 +177,15 @@ def _windows(
     settings: ContourSettings, examples: Sequence[LipExample]
 ) -> Iterator[tuple[int, MouthWindow, np.random.Generator, LipContours]]:
     """Variations of every example, mirrored half of the time: number, window, what draws its samples, contours."""
-    margins = settings.margin_mm, 2 * settings.patch_px + 2
+    margins, own = (settings.margin_mm, 2 * settings.patch_px + 2), settings.augmentation
     for number, example in enumerate(examples):
-        for copy in range(settings.augmentation.copies):
+        for copy in range(own.copies):
             random = np.random.default_rng([settings.seed, 3, number, copy])
             chosen = _mirrored(example) if random.random() < 0.5 else example
+            # from hardly to fully varied: the detector is to be exact where pictures are good, and robust where they are not
+            varied = own.model_copy(update={"strength": own.strength * random.random()})
             window = varied_window(
-                chosen.picture,
-                chosen.view,
-                chosen.contours,
-                settings.eye_distance_px,
-                margins,
-                settings.augmentation,
-                random,
+                chosen.picture, chosen.view, chosen.contours, settings.eye_distance_px, margins, varied, random
             )
             yield number, window, random, chosen.contours
 
