@@ -296,6 +296,8 @@ def disagreements(session: Session) -> list[str]:
         for kind, names in (("cameras", cameras), ("takes", takes))
         for name in sorted({name for name in names if names.count(name) > 1})
     ]
+    if session.lip_camera is not None and session.lip_camera not in cameras:
+        told.append(f"lip_camera: no camera is called {session.lip_camera}")
     unknown = sorted({*session.limits, *session.allow} - known_figures())
     told += [f"limits, allow: no figure is called {name}" for name in unknown]
     for key, where in ((CALIBRATION, session.calibration), *((f"takes.{take.name}", take) for take in session.takes)):

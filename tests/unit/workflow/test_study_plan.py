@@ -97,3 +97,38 @@ def test_files_that_are_not_there_are_named(tmp_path):
     assert f"own.template: {tmp_path / 'template.npz'} is not there" in message
     assert "talk.wav is not there" in message
     assert "talk.json" not in message
+
+
+LIPS = [{"name": "kiss", "kind": "lips", "lip_tattoo": False}, {"name": "talk", "kind": "speech"}]
+
+
+def filmed(**changes) -> dict:
+    people = [
+        {"subject": name, "rehearse_meshes": {"seed": k, "video": {}, "takes": LIPS}} for k, name in enumerate(("d", "e", "f"))
+    ]
+    return {"study": "lips", "mesh_subjects": people, "held_out": ["f"], "train_lips": {"test_takes": ["kiss"]}} | changes
+
+
+def test_lips_are_learnt_where_somebody_who_trains_performs_them_before_a_camera():
+    plan = load_plan(filmed())
+    assert plan.lip_people == ("d", "e", "f")
+    assert (plan.lip_tests("d"), plan.lip_tests("f")) == (("kiss",), ("kiss", "talk"))
+    named = {regressor.name: regressor for regressor in plan.lip_regressors}
+    assert set(named) == {"generic", "generic_affine", "generic_shape", "generic_distances", "several", "of_d", "of_e"}
+    assert named["generic"].tests("f")
+    assert not named["generic"].tests("d")
+    assert named["several"].tests("d")
+    assert not named["of_d"].tests("e")
+    assert named["generic_affine"].method == "GR affine"
+    assert load_plan(changed()).lip_people == ()
+    assert load_plan(filmed(held_out=["d", "e"], train_lips={})).lip_tested == ("d", "e")
+
+
+def test_videos_without_a_camera_are_told():
+    document = filmed()
+    document["mesh_subjects"][0]["camera"] = None
+    assert "takes have videos, but camera names none" in told(document)
+
+
+def test_a_lip_camera_that_the_session_has_not_is_told():
+    assert "lip_camera: no camera is called left" in told({"session": "solo", "rehearse": {"takes": TAKES}, "lip_camera": "left"})
