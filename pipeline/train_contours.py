@@ -7,12 +7,11 @@ import numpy as np
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.heads import HeadModel
-from headcap.lips.contours import LipExample, MouthLocator, train_detector
-from headcap.lips.contours.examples import labelled_pictures, spread_frames
+from headcap.lips.contours import LipExample, MouthLocator, mesh_examples, train_detector
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.people import LipPersonFiles
 from headcap.lips.takes import MouthSpace
-from headcap.lips.training import LipTrainingSettings
+from headcap.lips.training import LipTrainingSettings, spread_frames
 
 PROGRESS = logging.getLogger("headcap.progress")
 
@@ -34,15 +33,15 @@ def run(*, base: Path, files: list[Path], detector: Path, people: list[LipPerson
 
 
 def _examples(person: LipPersonFiles, space: MouthSpace, settings: LipTrainingSettings) -> list[LipExample]:
-    model, out = space.model, []
-    locator = MouthLocator.of(space.mouth, space.features)
-    contours = MeshContours.of(np.asarray(model.vertices, float), space.mouth, model.regions)
-    loaded = person.load(space, contours=False)
+    """A few frames of each take, with the contours that the rig's meshes show there."""
+    model, locate = space.model, MouthLocator.of(space.mouth, space.features)
+    see = MeshContours.of(np.asarray(model.vertices, float), space.mouth, model.regions)
+    loaded, out = person.load(space, contours=False), []
     for take in person.takes:
-        clip, own = take.clip.open(), loaded.takes[take.name]
+        clip, truth = take.clip.open(), loaded.takes[take.name].truth()
         chosen = spread_frames(len(clip), settings.pictures_per_take)
-        base = own.seen.base.world(own.seen.base.meshes)
-        out += labelled_pictures(clip.pictures(), base, own.truth(), clip.camera, locator, contours, person.name, chosen)
+        meshes = (np.asarray(mesh, float) if frame in chosen else None for frame, mesh in enumerate(truth))
+        out += mesh_examples(person.name, clip.pictures(), meshes, clip.camera, see, locate)
     return out
 
 

@@ -66,6 +66,11 @@ class RegressorPlan:
         return person not in self.people if self.relation == "GR" else person in self.people
 
 
+def spread_frames(frames: int, count: int) -> frozenset[int]:
+    """At most `count` frames of so many, evenly spread."""
+    return frozenset(np.linspace(0, frames - 1, min(count, frames)).round().astype(int).tolist())
+
+
 def planned_regressors(people: Sequence[str]) -> tuple[RegressorPlan, ...]:
     """Regressors of people who train: GR for strangers with its baselines, MS of them all, PS of each (section 6).
 

@@ -1,7 +1,7 @@
 """Boosted trees: grown by LightGBM, kept as plain arrays.
 
-Gradient boosting of the logistic loss (Friedman 2001) over binned features by LightGBM (Ke et al. 2017). Its trees are filled up to
-complete ones, a row of three arrays each: they are evaluated and kept without the library.
+Gradient boosting of the logistic loss (Friedman 2001) over binned features by LightGBM (Ke et al. 2017). Its trees are filled up
+to complete ones, a row of three arrays each: they are evaluated and kept without the library.
 """
 
 from __future__ import annotations
