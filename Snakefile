@@ -1,5 +1,5 @@
 """
-headcap: from the recordings of a camera rig to a tracked head and a model of its neck.
+headcap: from the recordings of a camera rig to a tracked head, a model of its neck, and lips corrected in a single video.
 
     snakemake                                            the demo study
     snakemake --configfile config/sessions/NAME.yaml     one capture session
