@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from headcap.cameras import Camera
 from headcap.errors import InputError
-from headcap.heads import HeadCoefficients, HeadModel
-from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, canonical_meshes, canonical_truth
+from headcap.heads import HeadModel
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, canonical_truth
 from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, border_in_picture, lip_features
-from headcap.lips.monocular import MonocularTrack
+from headcap.lips.foreign_tracks import BaseTrack, canonical_track
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
 
 _RESTING_SHARE = 0.2
@@ -55,21 +55,22 @@ class SeenTake:
     def of(
         cls,
         space: MouthSpace,
-        track: MonocularTrack,
+        track: BaseTrack,
         camera: Camera,
         contours: Sequence[LipContours | None],
         *,
         compensate_rotation: bool = True,
     ) -> SeenTake:
-        """Of a base track; C_0 is the tracked identity at rest, which the paper has in the first frame (section 4.2).
+        """Of a base track, ours or another program's; C_0 is the tracked identity at rest, which the paper has in the first frame (section 4.2).
 
         Raises `InputError` for a track of another head model or another number of contours.
         """
-        neutral = np.asarray(space.model.evaluate(HeadCoefficients(track.shape)), np.float64)
-        meshes = np.array(list(track.meshes(space.model)), np.float64).reshape(len(track), *neutral.shape)
-        if len(contours) != len(track):
-            raise InputError(f"contours of {len(contours)} frames", expected=f"{len(track)}", remedy="Find them in this clip.")
-        base = canonical_meshes(meshes, neutral, space.mouth.steady)
+        neutral = np.asarray(track.neutral(space.model), np.float64)
+        base = canonical_track(track, space.model, space.mouth)
+        if len(contours) != len(base.meshes):
+            raise InputError(
+                f"contours of {len(contours)} frames", expected=f"{len(base.meshes)}", remedy="Find them in this clip."
+            )
         return cls(space, base, neutral, camera, tuple(contours), compensate_rotation)
 
     def __len__(self) -> int:

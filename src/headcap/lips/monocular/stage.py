@@ -45,7 +45,7 @@ def track_clip(
 
     found = track_video(model, clip.camera, pictures(), clip.time_s, detections, settings, focal_known=clip.focal_known)
     found.save(track)
-    save_cameras(camera, Rig((_with_focal(clip.camera, found.focal_ratio),)))
+    save_cameras(camera, Rig((found.camera(clip.camera),)))
     _save_picture(picture, sheet(model, clip.camera, found, kept, settings))
     return track_figures(found)
 
@@ -81,12 +81,6 @@ def sheet(
 def _estimate(track: MonocularTrack, camera: Camera, number: int) -> Estimate:
     camera_from_head = camera.camera_from_world @ track.placement[number]
     return Estimate(camera_from_head, track.jaw[number], track.expression[number], track.shape, float(np.log(track.focal_ratio)))
-
-
-def _with_focal(camera: Camera, ratio: float) -> Camera:
-    matrix = camera.matrix.copy()
-    matrix[[0, 1], [0, 1]] *= ratio
-    return Camera(camera.name, camera.width, camera.height, matrix, camera.distortion, camera.camera_from_world)
 
 
 def _save_picture(path: Path, picture: NDArray[np.uint8]) -> None:
