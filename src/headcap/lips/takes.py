@@ -61,7 +61,9 @@ class SeenTake:
         *,
         compensate_rotation: bool = True,
     ) -> SeenTake:
-        """Of a base track, ours or another program's; C_0 is the tracked identity at rest, which the paper has in the first frame (section 4.2).
+        """Of a base track, ours or another program's; C_0 is the tracked identity at rest.
+
+        The paper has it in the first frame (section 4.2).
 
         Raises `InputError` for a track of another head model or another number of contours.
         """
