@@ -56,10 +56,10 @@ def judge_person(
             if name not in sequences:
                 continue
             true = seen[name].parameters(person.neutral, person.takes[name].true_meshes())
-            sequences[name][plan.method] = seen[name].corrected(parameters).astype(np.float32)
+            sequences[name][plan.method] = seen[name].corrected(parameters, identity=regressor.identity).astype(np.float32)
             layers[name][plan.method] = layer_error(parameters, true)
             if plan.method == "GR":
-                held = seen[name].corrected(parameters, HELD_WEIGHT)
+                held = seen[name].corrected(parameters, HELD_WEIGHT, regressor.identity)
                 sequences[name]["GR reprojected"] = held.astype(np.float32)
     if learnt_from:
         for name in tested:

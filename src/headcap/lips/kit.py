@@ -64,7 +64,7 @@ class LipKit:
             )
         take = SeenTake.of(space, track, clip.camera, found.contours())
         parameters = regressed(self.regressor, {"clip": take})["clip"]
-        return CorrectedClip(take, found, take.corrected(parameters).astype(np.float32))
+        return CorrectedClip(take, found, take.corrected(parameters, identity=self.regressor.identity).astype(np.float32))
 
     def save(self, path: Path | str) -> None:
         """Write as npz artifact `headcap.lip_kit/1`."""

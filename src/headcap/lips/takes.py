@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.heads import HeadModel
-from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, canonical_truth
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, Identity, canonical_truth
 from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, border_in_picture, lip_features
 from headcap.lips.foreign_tracks import BaseTrack, canonical_track
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
@@ -90,9 +90,9 @@ class SeenTake:
             compensate_rotation=self.compensate_rotation,
         )
 
-    def layer(self) -> CorrectionLayer:
-        """The correction layer on this take's neutral, of expression alone: who the person is stays as the tracker believes."""
-        return CorrectionLayer(self.space.mouth, self.neutral, "kept")
+    def layer(self, identity: Identity = "kept") -> CorrectionLayer:
+        """The correction layer on this take's neutral; as it is, of expression alone: who the person is stays as tracked."""
+        return CorrectionLayer(self.space.mouth, self.neutral, identity)
 
     def parameters(self, truth_neutral: NDArray, truth: NDArray) -> NDArray[np.float32]:
         """l_f of eq. 1 (f, T, 9) against true meshes (f, n, 3) with their neutral (n, 3)."""
@@ -108,12 +108,12 @@ class SeenTake:
         moved = replace(self.base, meshes=self.base.meshes + (true - self.neutral))
         return replace(self, base=moved, neutral=true, contours=self.contours)
 
-    def corrected(self, parameters: NDArray, held: float | None = None) -> NDArray[np.float64]:
-        """Meshes (f, n, 3) in the world with the layer (f, T, 9) put in; NaN where a frame tells none.
+    def corrected(self, parameters: NDArray, held: float | None = None, identity: Identity = "kept") -> NDArray[np.float64]:
+        """Meshes (f, n, 3) in the world with a layer (f, T, 9) of that identity put in; NaN where a frame tells none.
 
         With `held`, the weight of the outer contour as a constraint (section 8), the lips' border is drawn to it.
         """
-        layer, border = self.layer(), None
+        layer, border = self.layer(identity), None
         found = layer.corrected(self.base.meshes, parameters)
         if held is not None:
             there = CanonicalMeshes(found, self.base.world_from_canonical)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -129,8 +129,14 @@ def anchored_features(takes: Mapping[str, SeenTake]) -> dict[str, LipFeatures]:
 
 
 def regressed(regressor: LipRegressor, takes: Mapping[str, SeenTake]) -> dict[str, NDArray[np.float32]]:
-    """l (f, T, 9) of a person's takes by name; NaN where a frame tells none."""
-    return {name: regressor.parameters(features) for name, features in anchored_features(takes).items()}
+    """l (f, T, 9) of a person's takes by name, told in the way the regressor was trained; NaN where a frame tells none."""
+    turned = regressor.compensate_rotation
+    seen = {
+        name: take if take.compensate_rotation == turned else replace(take, compensate_rotation=turned)
+        for name, take in takes.items()
+    }
+    features = anchored_features(seen) if regressor.anchored else {name: take.features for name, take in seen.items()}
+    return {name: regressor.parameters(told) for name, told in features.items()}
 
 
 def _training_takes(person: LipPerson, plan: RegressorPlan, left_out: Sequence[str]) -> list[LipTake]:

@@ -21,6 +21,8 @@ from headcap.workflow.validation import KeyedInputError, validate
 
 REHEARSALS = "results/{session}/rehearse"
 MESH_REHEARSALS = "results/{subject}/rehearse_meshes"
+NECK_KINDS = ("pose", "expression", "speech")
+"""Kinds of takes that a neck model learns from and is judged by."""
 LIP_KINDS = ("lips", "speech", "expression", "free")
 """Kinds of takes that a lip regressor learns from, where somebody performs lips at all."""
 _TRAINING = ("train_expressions", "train_neck", "train_speech", "track_monocular", "train_lips")
@@ -58,8 +60,10 @@ class Plan:
 
     @property
     def neck_people(self) -> tuple[str, ...]:
-        """Everybody, where the takes train a neck: somebody who is not held out speaks; nobody else."""
-        return self.people if any(self.takes(name, "speech") for name in self.training) else ()
+        """Everybody with takes that tell of a neck, where they train one: somebody who is not held out speaks; else nobody."""
+        if not any(self.takes(name, "speech") for name in self.training):
+            return ()
+        return tuple(name for name in self.people if self.takes(name, *NECK_KINDS))
 
     @property
     def is_session(self) -> bool:
