@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.lips.artifact import LipRegressor
+from headcap.lips.contours import LipExample, MouthLocator, mesh_examples
 from headcap.lips.contours.settings import ContourSettings, SearchSettings
 from headcap.lips.features import LipFeatures
+from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.mouth import MouthSettings
-from headcap.lips.people import LipPerson
+from headcap.lips.people import LipPerson, LipPersonFiles
 from headcap.lips.regression import Inputs, LipTake, RegressionSettings, train_regression
 from headcap.lips.takes import MouthSpace, SeenTake, resting_distances
 
@@ -69,6 +71,22 @@ class RegressorPlan:
 def spread_frames(frames: int, count: int) -> frozenset[int]:
     """At most `count` frames of so many, evenly spread."""
     return frozenset(np.linspace(0, frames - 1, min(count, frames)).round().astype(int).tolist())
+
+
+def contour_examples(person: LipPersonFiles, space: MouthSpace, settings: LipTrainingSettings) -> list[LipExample]:
+    """A few frames of each of a person's takes, with the contours that their true meshes show there (section 3.2.2).
+
+    The paper labels some frames by hand; the rig knows. Raises `InputError` as `LipPersonFiles.load` and `ClipFiles.open`.
+    """
+    model, locate = space.model, MouthLocator.of(space.mouth, space.features)
+    see = MeshContours.of(np.asarray(model.vertices, float), space.mouth, model.regions)
+    loaded, out = person.load(space, contours=False), []
+    for take in person.takes:
+        clip, truth = take.clip.open(), loaded.takes[take.name].truth()
+        chosen = spread_frames(len(clip), settings.pictures_per_take)
+        meshes = (np.asarray(mesh, float) if frame in chosen else None for frame, mesh in enumerate(truth))
+        out += mesh_examples(person.name, clip.pictures(), meshes, clip.camera, see, locate)
+    return out
 
 
 def planned_regressors(people: Sequence[str]) -> tuple[RegressorPlan, ...]:

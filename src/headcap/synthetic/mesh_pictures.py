@@ -101,16 +101,17 @@ def _skin_look(person: MeshSubject, *, tattoos: bool, lip_tattoo: bool) -> NDArr
     random = random_stream(person.seed, SUBJECT_STREAM, _LOOK_STREAM)
     look = identity.skin_look(points, regions, places, random, tattoos=tattoos)
     # a stream of its own: who grows no hair otherwise looks as before
-    look[:, TONE] += _HAIR_TONE * facial_hair(person, random_stream(person.seed, SUBJECT_STREAM, _HAIR_STREAM))
+    look[:, TONE] += _HAIR_TONE * facial_hair(person)
     return identity.tattoo_lips(look, points, regions, places) if lip_tattoo else look
 
 
-def facial_hair(person: MeshSubject, random: np.random.Generator) -> NDArray[np.float64]:
+def facial_hair(person: MeshSubject) -> NDArray[np.float64]:
     """Share (v,) of the skin that brows and lashes cover: by them faces are found, in life and by trackers.
 
     Brows are arcs over the eyes, of a height, thickness, length and darkness of the person's own; lashes line the upper lids.
     """
     points, marks = person.subject.bare_m, base_head().landmarks
+    random = random_stream(person.seed, SUBJECT_STREAM, _HAIR_STREAM)
     height, thickness, dark = random.uniform(*_BROW_LIFT_M), random.uniform(*_BROW_THICKNESS_M), random.uniform(*_BROW_DARKNESS)
     arch, hair, rims = random.uniform(*_BROW_ARCH_M), np.zeros(len(points)), base_head().regions["lid_rims"]
     facing = vertex_normals(points, base_head().triangles)[:, 2] > 0.1
