@@ -249,9 +249,10 @@ def _crossings(origins: NDArray, ways: NDArray, ring: NDArray, *, one_sided: boo
     to_start = start - origins[:, None]
     across = np.stack([-ways[:, 1], ways[:, 0]], axis=1)[:, None]
     height, rise = (to_start * across).sum(axis=2), (side * across).sum(axis=2)
+    # a side along the way is never crossed: its share is not finite and counts as no hit
     with np.errstate(divide="ignore", invalid="ignore"):
         share = -height / rise
-    along = ((to_start + share[..., None] * side) * ways[:, None]).sum(axis=2)
+        along = ((to_start + share[..., None] * side) * ways[:, None]).sum(axis=2)
     # a crossing at a corner of the ring must not fall between its two sides by a rounding error
     hit = (share >= -_ROUNDING) & (share <= 1 + _ROUNDING) & np.isfinite(share) & ((along >= -_ROUNDING) | (not one_sided))
     reach = np.where(hit, np.abs(along), np.inf)
