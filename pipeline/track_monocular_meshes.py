@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
+from headcap.calibration.result import load_camera
 from headcap.heads import HeadModel
-from headcap.lips.clips import load_camera, video_clip
+from headcap.lips.clips import video_clip
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.stage import track_clip
 

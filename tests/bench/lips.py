@@ -16,8 +16,9 @@ from scipy.linalg import solve
 sys.path.insert(0, str(Path(__file__).parent))
 from run import measure, write
 
+from headcap.calibration.result import load_camera
 from headcap.heads import procedural_model
-from headcap.lips.clips import Clip, load_camera, video_clip
+from headcap.lips.clips import Clip, video_clip
 from headcap.lips.contours import ContourFinder, ContourSettings, MouthLocator, mesh_examples, train_detector
 from headcap.lips.contours.settings import BoostingSettings
 from headcap.lips.features import DISTANCES, LipFeatures

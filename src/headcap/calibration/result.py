@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from headcap.artifacts import load_json, save_json
 from headcap.calibration.settings import CalibrateLimits
-from headcap.cameras import Rig
-from headcap.errors import GateFailure
+from headcap.cameras import Camera, Rig
+from headcap.errors import GateFailure, InputError
 
 Array = NDArray[np.float64]
 KIND, SCHEMA = "rig", 1
@@ -104,6 +104,25 @@ class CalibrationResult:
             heldout_poses=content["heldout_poses"],
             poses=tuple(SolvedPose(p["time_s"], np.array(p["world_from_board"]), p["frames"]) for p in content["poses"]),
         )
+
+
+def save_cameras(path: Path | str, rig: Rig) -> None:
+    """Write cameras of whose calibration nothing is known as JSON artifact `headcap.rig/1`."""
+    unknown = {"figures": {}, "camera_figures": [], "heldout_poses": 0, "poses": []}
+    save_json(path, KIND, SCHEMA, rig.to_json() | unknown)
+
+
+def load_camera(path: Path | str, name: str | None = None) -> Camera:
+    """A camera of a rig's file, by name where there are several; raises `ArtifactError`, `InputError` for a name it has not."""
+    rig = Rig.from_json(load_json(path, KIND, SCHEMA))
+    name = name if name or len(rig) > 1 else rig.names[0]
+    if name not in rig.names:
+        raise InputError(
+            f"camera {name}" if name else f"a rig of {len(rig)} cameras without a camera's name",
+            expected=f"one of {', '.join(rig.names)}",
+            remedy="Give the name of the camera that took the picture.",
+        )
+    return rig[name]
 
 
 _REMEDY = {

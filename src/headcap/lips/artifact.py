@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from headcap.artifacts import load_arrays, save_arrays
 from headcap.errors import InputError
 from headcap.heads import HeadModel
-from headcap.lips.correction import CorrectionLayer, Identity
+from headcap.lips.correction import Identity
 from headcap.lips.features import FeatureSpace, LipFeatures
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
 from headcap.lips.regression import FeatureScaling, Network, RegressionSettings, TrainedRegression
@@ -75,10 +75,6 @@ class LipRegressor:
         """l (f, T, 9) of frames' features (eq. 3); NaN for frames that tell none, which are not made up."""
         return self.regression(features)
 
-    def person_layer(self, mouth: Mouth, base_neutral: NDArray) -> CorrectionLayer:
-        """The layer that puts its corrections into one person's base-tracked meshes with this canonical neutral (n, 3)."""
-        return CorrectionLayer(mouth, base_neutral, self.identity)
-
     def to_arrays(self) -> tuple[dict[str, NDArray], dict]:
         """Arrays and plain record that tell the regressor; `from_arrays` is the inverse."""
         found = self.regression
@@ -132,25 +128,6 @@ class LipRegressor:
         if model is not None:
             regressor.check_model(model)
         return regressor
-
-
-def chosen_persons(kind: Literal["PS", "MS", "GR"], test_person: str, persons: Sequence[str]) -> tuple[str, ...]:
-    """Whose takes train a regressor of a kind (section 6) that is tested on a person; test takes are left out by the caller.
-
-    Raises `InputError` where nobody remains.
-    """
-    chosen = {
-        "PS": [person for person in persons if person == test_person],
-        "MS": list(persons) if test_person in persons else [],
-        "GR": [person for person in persons if person != test_person],
-    }[kind]
-    if not chosen:
-        raise InputError(
-            f"a {kind} regressor for {test_person} among {', '.join(persons) or 'nobody'}",
-            expected="others to train on" if kind == "GR" else "lip takes of that person",
-            remedy="Add subjects with lip takes to the study.",
-        )
-    return tuple(chosen)
 
 
 def _refused(found: str, expected: str) -> InputError:

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.artifacts import load_json, save_json
-from headcap.calibration import result as calibration
+from headcap.calibration.result import load_camera
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
 from headcap.meshes.normals import vertex_normals
@@ -55,6 +54,7 @@ def video_clip(path: Path | str, camera: Camera) -> Clip:
         )
 
     def pictures() -> Iterator[Image]:
+        """Every frame, from the first."""
         with VideoFrames(path) as opened:
             yield from opened
 
@@ -79,6 +79,7 @@ def rig_clip(camera: Camera, take: IngestedTake, offsets: TimeOffsets, timeline:
     time_s = timeline.time_s[covered]
 
     def pictures() -> Iterator[Image]:
+        """What the camera shows at each moment, from the first."""
         with open_take(alone, offsets) as opened:
             yield from (opened.at(camera.name, moment) for moment in time_s)
 
@@ -115,23 +116,3 @@ def frontal_camera(rig: Rig, start: Template) -> str:
     out = vertex_normals(start.vertices, start.triangles)[face].mean(axis=0)
     ways = {camera.name: camera.centre - middle for camera in rig}
     return max(ways, key=lambda name: float(ways[name] @ out / np.linalg.norm(ways[name])))
-
-
-def save_cameras(path: Path | str, rig: Rig) -> None:
-    """Write cameras whose calibration is not known as JSON artifact `headcap.rig/1`."""
-    unknown = {"figures": {}, "camera_figures": [], "heldout_poses": 0, "poses": []}
-    save_json(path, calibration.KIND, calibration.SCHEMA, rig.to_json() | unknown)
-
-
-def load_camera(path: Path | str, name: str | None = None) -> Camera:
-    """A camera of a rig's file (`headcap.rig/1`), by name where there are several; raises `ArtifactError`, `InputError`."""
-    rig = Rig.from_json(load_json(path, calibration.KIND, calibration.SCHEMA))
-    if name is None and len(rig) == 1:
-        return rig[0]
-    if name not in rig.names:
-        raise InputError(
-            f"{path} has cameras {', '.join(rig.names)}; asked for {name or 'no name'}",
-            expected="one of its cameras",
-            remedy="Name the camera that took the video.",
-        )
-    return rig[name]

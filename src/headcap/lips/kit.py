@@ -53,8 +53,9 @@ class LipKit:
         Frames that the base tracker lost, or whose contours were not found, are NaN and never made up. Raises `InputError` for a
         track of another head model and a clip in which no frame shows both contours.
         """
-        space = MouthSpace.of(self.head, self.regressor.mouth_settings)
-        finder = ContourFinder(self.detector, MouthLocator.of(space.mouth, self.regressor.space), self.search)
+        regressor = self.regressor
+        space = MouthSpace(self.head, regressor.mouth(self.head), regressor.mouth_settings, regressor.space)
+        finder = ContourFinder(self.detector, MouthLocator.of(space.mouth, space.features), self.search)
         found = find_contours(finder, clip.pictures(), track.meshes(self.head), clip.camera)
         if not found.found.any():
             raise InputError(
@@ -63,8 +64,8 @@ class LipKit:
                 remedy="Look at the tracked face; train or adapt the detector on labelled frames of this light.",
             )
         take = SeenTake.of(space, track, clip.camera, found.contours())
-        parameters = regressed(self.regressor, {"clip": take})["clip"]
-        return CorrectedClip(take, found, take.corrected(parameters, identity=self.regressor.identity).astype(np.float32))
+        parameters = regressed(regressor, {"clip": take})["clip"]
+        return CorrectedClip(take, found, take.corrected(parameters, identity=regressor.identity).astype(np.float32))
 
     def save(self, path: Path | str) -> None:
         """Write as npz artifact `headcap.lip_kit/1`."""

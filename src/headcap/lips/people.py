@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from headcap.calibration.result import load_camera
 from headcap.errors import InputError
-from headcap.lips.clips import ClipFiles, load_camera
+from headcap.lips.clips import ClipFiles
 from headcap.lips.contours import ContourSequence
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.takes import MouthSpace, SeenTake
-from headcap.registration.sequence import MeshSequence
+from headcap.registration.sequence import MeshSequence, joined
 from headcap.registration.template import Template
 
 _SAME_MOMENT_S = 1e-6
@@ -73,15 +74,12 @@ class LipPersonTake:
 
     def truth(self) -> Iterator[NDArray[np.float32]]:
         """True meshes (n, 3), metres, in the sequence's world, frame by frame from memory maps."""
-        parts = [np.load(chunk, mmap_mode="r") for chunk in self.sequence.chunks]
-        ends = np.cumsum([len(part) for part in parts])
-        for frame in self.frames:
-            part = int(np.searchsorted(ends, frame, side="right"))
-            yield parts[part][frame - ends[part]]
+        meshes = joined(self.sequence, len(self.seen.neutral))
+        yield from (meshes[frame : frame + 1][0] for frame in self.frames)
 
     def true_meshes(self) -> NDArray[np.float32]:
         """All of them, (f, n, 3)."""
-        return np.stack(list(self.truth()))
+        return joined(self.sequence, len(self.seen.neutral))[self.frames]
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from headcap.heads import HeadModel
 from headcap.meshes.normals import vertex_normals
 from headcap.meshes.visibility import count_cameras
 from headcap.neck.training_subject import TrainingSubject
-from headcap.registration.sequence import MeshSequence
+from headcap.registration.sequence import JoinedMeshes, MeshSequence, joined
 from headcap.registration.template import Template
 
 LEAST_CAMERAS, MOST_ANGLE_DEG = 2, 75.0
@@ -42,30 +42,6 @@ class SubjectFiles:
         sequences = {take: MeshSequence.load(path) for take, path in self.sequences.items()}
         rig = CalibrationResult.load(self.rig).rig if self.rig else None
         return NeckSubject.of(model, self.name, Template.load(self.template), sequences, self.kinds, rig)
-
-
-class JoinedMeshes:
-    """Meshes of several files one after another, (f, n, 3); frames are read from the memory maps when they are indexed."""
-
-    def __init__(self, parts: Sequence[NDArray], vertices: int) -> None:
-        """Of parts (f_k, n, 3); `vertices` is n, which no part need tell."""
-        self._parts = [part for part in parts if len(part)]
-        self._ends = np.cumsum([len(part) for part in self._parts], dtype=np.int64)
-        self.shape = (int(self._ends[-1]) if self._parts else 0, vertices, 3)
-        self.ndim, self.dtype = 3, np.dtype(np.float32)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, chosen: slice | NDArray) -> NDArray[np.float32]:
-        """Frames (k, n, 3) in memory, by slice, numbers or mask."""
-        numbers = np.arange(len(self))[chosen]
-        out = np.empty((len(numbers), *self.shape[1:]), self.dtype)
-        part_of = np.searchsorted(self._ends, numbers, side="right")
-        for k in np.unique(part_of):
-            here = part_of == k
-            out[here] = self._parts[k][numbers[here] - (self._ends[k] - len(self._parts[k]))]
-        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,11 +104,6 @@ class NeckSubject:
     def personal(self, model: HeadModel) -> HeadModel:
         """The model of this person."""
         return model.personal(self.neutral.astype(model.vertices.dtype), name=f"{model.name} of {self.name}")
-
-
-def joined(sequence: MeshSequence, vertices: int) -> JoinedMeshes:
-    """A tracked take's frames as one array that is read when it is indexed."""
-    return JoinedMeshes([np.load(chunk, mmap_mode="r") for chunk in sequence.chunks], vertices)
 
 
 def neutral_in_model_frame(model: HeadModel, template: Template) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,3 +68,32 @@ def save_chunk(path: Path | str, positions: NDArray) -> None:
     """Write one chunk (frames, vertices, 3) as float32 npy, atomically."""
     with atomic_path(path) as temporary, open(temporary, "wb") as handle:
         np.save(handle, np.ascontiguousarray(positions, np.float32))
+
+
+class JoinedMeshes:
+    """Meshes of several files one after another, (f, n, 3); frames are read from the memory maps when they are indexed."""
+
+    def __init__(self, parts: Sequence[NDArray], vertices: int) -> None:
+        """Of parts (f_k, n, 3); `vertices` is n, which no part need tell."""
+        self._parts = [part for part in parts if len(part)]
+        self._ends = np.cumsum([len(part) for part in self._parts], dtype=np.int64)
+        self.shape = (int(self._ends[-1]) if self._parts else 0, vertices, 3)
+        self.ndim, self.dtype = 3, np.dtype(np.float32)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, chosen: slice | NDArray) -> NDArray[np.float32]:
+        """Frames (k, n, 3) in memory, by slice, numbers or mask."""
+        numbers = np.arange(len(self))[chosen]
+        out = np.empty((len(numbers), *self.shape[1:]), self.dtype)
+        part_of = np.searchsorted(self._ends, numbers, side="right")
+        for k in np.unique(part_of):
+            here = part_of == k
+            out[here] = self._parts[k][numbers[here] - (self._ends[k] - len(self._parts[k]))]
+        return out
+
+
+def joined(sequence: MeshSequence, vertices: int) -> JoinedMeshes:
+    """A tracked take's frames as one array that is read when it is indexed."""
+    return JoinedMeshes([np.load(chunk, mmap_mode="r") for chunk in sequence.chunks], vertices)

@@ -14,7 +14,7 @@ from headcap.lips.people import LipPerson, LipTakeFiles
 from headcap.lips.takes import MouthSpace
 from headcap.report.figures import Image
 from headcap.report.lips_figures import gap_curves, roll_curves
-from headcap.report.lips_pictures import comparison, error_maps, side_by_side_frames, telling_frames, write_side_by_side
+from headcap.report.lips_pictures import comparison, error_maps, telling_frames, write_clip_side_by_side
 from headcap.report.overlays import save_png
 
 _MOMENTS = 4
@@ -41,13 +41,8 @@ def draw_person(
 
 def write_comparison_video(space: MouthSpace, files: LipTakeFiles, take: JudgedTake, method: str, path: Path) -> None:
     """Write the picture with the base over it, the corrected and the true mesh, side by side, as mp4."""
-    clip, times = files.clip.open(), take.errors.time_s
-    answered = take.sequences[BASE][np.isfinite(take.sequences[BASE]).all(axis=(1, 2))]
-    about = answered[:, space.mouth.vertices].reshape(-1, 3)[:: max(1, len(answered))]
-    photographs = (np.ascontiguousarray(picture[..., ::-1]) for picture in clip.pictures())
     sequences = {name: take.sequences[name] for name in (BASE, method, "truth")}
-    frames = side_by_side_frames(photographs, clip.camera, space.model.triangles, sequences, about)
-    write_side_by_side(path, frames, float(1 / np.median(np.diff(times))) if len(times) > 1 else 25.0)
+    write_clip_side_by_side(path, files.clip.open(), space.model.triangles, sequences, space.mouth.vertices)
 
 
 def _shapes(space: MouthSpace, take: JudgedTake, names: list[str], moments: np.ndarray) -> Image:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.evaluation.lip_errors import LipErrors
+from headcap.lips.clips import Clip
 from headcap.recordings.writer import write_video
 from headcap.report.figures import Image, sheet
 from headcap.report.lips_figures import TOLD
@@ -28,6 +29,10 @@ ERROR_TOP_MM = 8.0
 """Upper end of the colours of errors: twice the paper's mean."""
 _AZIMUTHS = (0.0, 60.0)
 _LABEL_PX = 22
+_SPREAD_FRAMES = 8
+"""As many frames tell what part of the picture the mouth ever fills."""
+_STILL_HZ = 25.0
+"""Of a clip of one frame."""
 _CRF = 22.0
 """H.264 quality at which a page's video is small and its meshes show no blocks."""
 
@@ -121,6 +126,23 @@ def side_by_side_frames(
             image = plain(view, mesh, triangles) if known else np.full_like(picture, PAPER[0])
             panels.append(_panel(image, TOLD.get(name, name), known))
         yield side_by_side(panels)
+
+
+def write_clip_side_by_side(
+    path: Path | str, clip: Clip, triangles: NDArray, sequences: Mapping[str, NDArray], mouth: NDArray[np.int64]
+) -> None:
+    """Write a clip with meshes (f, n, 3) in its camera's world beside each other, cut to the vertices `mouth` (k,).
+
+    `sequences` as in `side_by_side_frames`. Raises `InputError` where no frame of the first has an answer.
+    """
+    base = next(iter(sequences.values()))
+    answered = np.flatnonzero(np.isfinite(base).all(axis=(1, 2)))
+    if not len(answered):
+        raise InputError("a clip without an answer", expected="one tracked frame at least", remedy="Look at the track.")
+    about = base[answered[:: max(1, len(answered) // _SPREAD_FRAMES)]][:, mouth].reshape(-1, 3)
+    photographs = (np.ascontiguousarray(picture[..., ::-1]) for picture in clip.pictures())
+    rate_hz = float(1 / np.median(np.diff(clip.time_s))) if len(clip) > 1 else _STILL_HZ
+    write_side_by_side(path, side_by_side_frames(photographs, clip.camera, triangles, sequences, about), rate_hz)
 
 
 def write_side_by_side(path: Path | str, frames: Iterable[Image], rate_hz: float) -> None:

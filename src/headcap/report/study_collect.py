@@ -16,7 +16,8 @@ from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.landmarks.fitting import fit_landmarks
 from headcap.neck.landmarks.landmarks import LandmarkPoints, Landmarks
 from headcap.neck.model import NeckModel
-from headcap.neck.subjects import JoinedMeshes, NeckSubject, SubjectFiles
+from headcap.neck.subjects import NeckSubject, SubjectFiles
+from headcap.registration.sequence import JoinedMeshes
 from headcap.report.provenance import versions
 from headcap.report.study_inputs import Animation, StudyInputs
 from headcap.speech import SpeechRegressor

@@ -17,7 +17,7 @@ from headcap.neck.animation.animation import meshes_of_curves
 from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.fits import NeckFits, TakeFit
 from headcap.neck.model import NeckModel, NeckPerson
-from headcap.neck.subjects import JoinedMeshes
+from headcap.registration.sequence import JoinedMeshes
 from headcap.speech import SpeechCoefficients
 
 Drive = Literal["user", "generic", "face"]

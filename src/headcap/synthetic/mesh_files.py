@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.artifacts import atomic_path, save_json
-from headcap.calibration import result as calibration
+from headcap.calibration.result import save_cameras
 from headcap.cameras import Rig
 from headcap.heads.procedural import base_head
 from headcap.recordings.writer import write_video
@@ -45,8 +45,7 @@ def rehearse_meshes(settings: MeshRehearsalSettings, folder: Path) -> None:
     base_head().with_vertices(subject.neutral_m).save(folder / "template.npz")
     if settings.video is not None:
         camera = build_camera(settings.video.camera, _encoding(settings))
-        known = {"figures": {}, "camera_figures": [], "heldout_poses": 0, "poses": []}
-        save_json(folder / "camera.json", calibration.KIND, calibration.SCHEMA, Rig((camera,)).to_json() | known)
+        save_cameras(folder / "camera.json", Rig((camera,)))
     for number, take in enumerate(settings.takes):
         performed = _write_take(folder, take, number, subject, settings)
         if settings.video is not None:

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.artifacts import digest_settings, load_json, write_manifest
-from headcap.calibration.result import KIND, SCHEMA
-from headcap.cameras import Camera, Rig
+from headcap.artifacts import digest_settings, write_manifest
+from headcap.calibration.result import load_camera
 from headcap.errors import InputError
 from headcap.neck.animation.curves import CoefficientCurves
 from headcap.neck.fitting.compensation import check_topology
@@ -20,8 +19,7 @@ from headcap.neck.fitting.temporal import TemporalPrior
 from headcap.neck.landmarks.files import load_landmarks
 from headcap.neck.landmarks.fitting import LandmarkSettings, fit_landmarks
 from headcap.neck.model import NeckModel, NeckPerson
-from headcap.neck.subjects import joined
-from headcap.registration.sequence import MeshSequence
+from headcap.registration.sequence import MeshSequence, joined
 
 _CHANNELS = {"expression": ("psi",), "larynx": ("tau", "alpha"), "speech": ("phi",)}
 
@@ -92,7 +90,8 @@ def _of_meshes(request: FitRequest, model: NeckModel, person: NeckPerson) -> tup
 
 def _of_landmarks(request: FitRequest, model: NeckModel, person: NeckPerson) -> tuple[CoefficientCurves, list[str], dict]:
     head = model.head.personal(person.neutral)
-    landmarks = load_landmarks(request.landmarks, head, _camera(request))
+    camera = load_camera(request.camera, request.camera_name) if request.camera else None
+    landmarks = load_landmarks(request.landmarks, head, camera)
     settings = LandmarkSettings(trunk="still" if request.still_trunk else "moving")
     found = fit_landmarks(head, landmarks, settings)
     unit, scale = ("px", 1.0) if landmarks.flat else ("mm", 1e3)
@@ -125,20 +124,6 @@ def _held(request: FitRequest, model: NeckModel, time_s: NDArray) -> dict[str, N
             rest = {"alpha": np.ones(f), "tau": np.zeros(f)}
             held |= {name: given[name] if name in given else rest[name] for name in names}
     return held
-
-
-def _camera(request: FitRequest) -> Camera | None:
-    if request.camera is None:
-        return None
-    rig = Rig.from_json(load_json(request.camera, KIND, SCHEMA))
-    name = request.camera_name if request.camera_name or len(rig) > 1 else rig.names[0]
-    if name not in rig.names:
-        raise InputError(
-            f"camera {name}" if name else f"a rig of {len(rig)} cameras without a camera's name",
-            expected=f"one of {', '.join(rig.names)}",
-            remedy="Give --camera-name.",
-        )
-    return rig[name]
 
 
 def _check(request: FitRequest, target: Path) -> None:

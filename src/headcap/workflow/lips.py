@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from headcap.artifacts import digest_settings, write_manifest
+from headcap.calibration.result import load_camera
+from headcap.evaluation.lip_errors import BASE
 from headcap.heads.procedural import base_head
-from headcap.lips.clips import Clip, load_camera, video_clip
+from headcap.lips.clips import Clip, video_clip
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.monocular import FrameState, MonocularTrack, load_detections, unknown_camera
 from headcap.lips.monocular.stage import track_clip
 from headcap.recordings.video import VideoFrames
 from headcap.registration.sequence import MeshSequence, save_chunk
 from headcap.registration.template import Template
-from headcap.report.lips_pictures import side_by_side_frames, write_side_by_side
+from headcap.report.lips_pictures import write_clip_side_by_side
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,9 @@ def correct_video(request: LipRequest, folder: Path) -> list[str]:
     corrected = kit.correct(seen, track)
     corrected.contours.save(folder / "contours.npz")
     _save_meshes(folder, kit, track, corrected, request)
-    _save_video(folder / "side_by_side.mp4", kit, seen, corrected)
+    sequences = {BASE: corrected.take.base.world(corrected.take.base.meshes), "GR": corrected.meshes}
+    mouth = corrected.take.space.mouth.vertices
+    write_clip_side_by_side(folder / "side_by_side.mp4", seen, kit.head.triangles, sequences, mouth)
     return _told(track, corrected)
 
 
@@ -87,21 +89,6 @@ def _template(kit: LipKit, corrected: CorrectedClip) -> Template:
         return base.with_vertices(neutral)
     uv = np.zeros((1, 2))
     return Template(neutral, head.triangles, uv, np.zeros_like(head.triangles), dict(head.regions), dict(head.landmarks))
-
-
-def _save_video(path: Path, kit: LipKit, clip: Clip, corrected: CorrectedClip) -> None:
-    base = corrected.take.base.world(corrected.take.base.meshes)
-    known = base[np.isfinite(base).all(axis=(1, 2))]
-    about = known[:: max(1, len(known) // 8), corrected.take.space.mouth.vertices].reshape(-1, 3)
-    sequences = {"base": base, "GR": corrected.meshes}
-    frames = side_by_side_frames(_photographs(clip), clip.camera, kit.head.triangles, sequences, about)
-    rate_hz = float(1 / np.median(np.diff(clip.time_s))) if len(clip) > 1 else 25.0
-    write_side_by_side(path, frames, rate_hz)
-
-
-def _photographs(clip: Clip) -> Iterator[NDArray[np.uint8]]:
-    for picture in clip.pictures():
-        yield np.ascontiguousarray(picture[..., ::-1])
 
 
 def _told(track: MonocularTrack, corrected: CorrectedClip) -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 from headcap.artifacts import ArtifactError, save_arrays
 from headcap.errors import InputError
-from headcap.lips.artifact import LipRegressor, chosen_persons
+from headcap.lips.artifact import LipRegressor
 from headcap.lips.correction import CanonicalMeshes, canonical_meshes
 from headcap.lips.features import LipFeatures, border_in_picture, lip_features
 from headcap.lips.mouth import MouthSettings
@@ -22,6 +22,7 @@ from headcap.lips.regression import (
     fold_labels,
     train_regression,
 )
+from headcap.lips.training import planned_regressors
 
 TRIANGLES = 7
 
@@ -154,19 +155,20 @@ def test_too_little_to_train_on_is_told(rng):
 
 def test_who_trains_which_regressor():
     people = ("a", "b", "c")
-    assert chosen_persons("PS", "b", people) == ("b",)
-    assert chosen_persons("MS", "b", people) == people
-    assert chosen_persons("GR", "b", people) == ("a", "c")
-    with pytest.raises(InputError, match="GR"):
-        chosen_persons("GR", "a", ("a",))
-    with pytest.raises(InputError, match="MS"):
-        chosen_persons("MS", "d", people)
+    planned = {plan.name: plan for plan in planned_regressors(people)}
+    assert (planned["of_b"].relation, planned["of_b"].people) == ("PS", ("b",))
+    assert (planned["several"].relation, planned["several"].people) == ("MS", people)
+    # of strangers nobody who is tested has trained
+    without = {plan.name: plan for plan in planned_regressors(("a", "c"))}["generic"]
+    assert (without.relation, without.people, without.tests("b")) == ("GR", ("a", "c"), True)
+    assert not any(plan.tests("a") for plan in planned_regressors(("a",)) if plan.relation == "GR")
+    assert not any(plan.tests("d") for plan in planned.values() if plan.relation != "GR")
 
 
 @pytest.fixture(scope="module")
 def regressor(stage, people):
     """Trained on three, to serve others."""
-    persons = chosen_persons("GR", "24", list(people))
+    persons = tuple(person for person in people if person != "24")
     settings = RegressionSettings(leave_out="persons")
     regression = train_regression([tracked.take for person in persons for tracked in people[person]], settings)
     model, mouth = stage.model, stage.mouth
@@ -207,7 +209,7 @@ def test_another_topology_version_or_kind_is_refused(stage, regressor, tmp_path)
 
 def foretold(people, unseen, settings):
     """The nine numbers (f, triangles, 9) of a held-out take of a person that was not trained on."""
-    persons = chosen_persons("GR", unseen, list(people))
+    persons = [person for person in people if person != unseen]
     found = train_regression([tracked.take for person in persons for tracked in people[person]], settings)
     return found(people[unseen][2].take.features)
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from headcap.calibration.result import load_camera, save_cameras
 from headcap.errors import InputError
 from headcap.geometry.transforms import from_vector, transform
 from headcap.heads import procedural_model
 from headcap.lips.artifact import LipRegressor
-from headcap.lips.clips import load_camera, save_cameras
 from headcap.lips.contours import ContourDetector, ContourSettings, SearchSettings
 from headcap.lips.contours.detector import CONTOURS, PASSES
 from headcap.lips.kit import LipKit

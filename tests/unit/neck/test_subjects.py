@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from headcap.errors import InputError
 from headcap.geometry.transforms import transform
 from headcap.heads.procedural import base_head
-from headcap.neck.subjects import JoinedMeshes, NeckSubject, neutral_in_model_frame
-from headcap.registration.sequence import MeshSequence, save_chunk
+from headcap.neck.subjects import NeckSubject, neutral_in_model_frame
+from headcap.registration.sequence import JoinedMeshes, MeshSequence, save_chunk
 
 
 def parts() -> list[np.ndarray]:

@@ -194,6 +194,7 @@ def _mirrored(example: LipExample) -> LipExample:
     width = example.picture.shape[1]
 
     def across(points: NDArray) -> NDArray:
+        """Pixels (..., 2) in the mirrored picture."""
         return np.stack([width - 1 - points[:, 0], points[:, 1]], axis=1)
 
     # the ring goes on from the subject's right corner, which was the left one, over the upper lip

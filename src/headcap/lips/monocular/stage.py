@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.artifacts import atomic_path
+from headcap.calibration.result import save_cameras
 from headcap.cameras import Camera, Rig
 from headcap.heads import HeadModel
-from headcap.lips.clips import Clip, save_cameras
+from headcap.lips.clips import Clip
 from headcap.lips.monocular.overlay import draw_face
 from headcap.lips.monocular.sequence import MonocularTrack, track_video
 from headcap.lips.monocular.settings import MonocularSettings
@@ -38,6 +39,7 @@ def track_clip(
     shown = set(np.unique(np.linspace(0, len(clip) - 1, _SHOWN).round().astype(int)).tolist())
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
+        """All frames; those of the sheet are kept on their way."""
         for number, image in enumerate(clip.pictures()):
             if number in shown:
                 kept[number] = image

@@ -9,7 +9,7 @@ from headcap.artifacts import ArtifactError
 from headcap.errors import InputError
 from headcap.heads import HeadCoefficients
 from headcap.neck import NeckModel, SpeechFitter, SpeechTrainingSettings, larynx_map, train_speech
-from headcap.neck.subjects import JoinedMeshes
+from headcap.registration.sequence import JoinedMeshes
 
 
 def test_the_energy_falls_at_every_step(trained):
