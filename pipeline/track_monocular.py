@@ -7,7 +7,7 @@ from headcap.calibration.result import CalibrationResult
 from headcap.heads import HeadModel
 from headcap.lips.clips import frontal_camera, rig_clip
 from headcap.lips.monocular.settings import MonocularSettings
-from headcap.lips.monocular.stage import track_clip
+from headcap.lips.monocular.stage import person_of, track_clip
 from headcap.recordings.takes import IngestedTake
 from headcap.registration.template import Template
 from headcap.sync import TimeOffsets
@@ -17,6 +17,7 @@ from headcap.sync.timeline import TakeTimeline
 def run(
     *,
     base: Path,
+    turned: list[Path],
     rig: Path,
     start: Path,
     ingested: Path,
@@ -31,14 +32,14 @@ def run(
     cameras = CalibrationResult.load(rig).rig
     chosen = cameras[name or frontal_camera(cameras, Template.load(start))]
     clip = rig_clip(chosen, IngestedTake.load(ingested), TimeOffsets.load(offsets), TakeTimeline.load(timeline))
-    figures = track_clip(HeadModel.load(base), clip, settings, track, camera, picture)
+    figures = track_clip(HeadModel.load(base), clip, settings, track, camera, picture, person=person_of(turned))
     for artifact, kind in ((camera, "rig"), (track, "monocular_track")):
         write_manifest(
             artifact,
             kind=kind,
             stage="track_monocular",
             settings_digest=digest_settings(settings=settings, name=name),
-            inputs=[base, rig, start, ingested, offsets, timeline],
+            inputs=[base, *turned, rig, start, ingested, offsets, timeline],
             figures=figures,
         )
 

@@ -7,12 +7,13 @@ from headcap.calibration.result import load_camera
 from headcap.heads import HeadModel
 from headcap.lips.clips import video_clip
 from headcap.lips.monocular.settings import MonocularSettings
-from headcap.lips.monocular.stage import track_clip
+from headcap.lips.monocular.stage import person_of, track_clip
 
 
 def run(
     *,
     base: Path,
+    turned: list[Path],
     files: list[Path],
     track: Path,
     camera: Path,
@@ -21,14 +22,22 @@ def run(
     filmed_by: Path,
     settings: MonocularSettings,
 ) -> None:
-    figures = track_clip(HeadModel.load(base), video_clip(video, load_camera(filmed_by)), settings, track, camera, picture)
+    figures = track_clip(
+        HeadModel.load(base),
+        video_clip(video, load_camera(filmed_by)),
+        settings,
+        track,
+        camera,
+        picture,
+        person=person_of(turned),
+    )
     for artifact, kind in ((camera, "rig"), (track, "monocular_track")):
         write_manifest(
             artifact,
             kind=kind,
             stage="track_monocular",
             settings_digest=digest_settings(settings=settings),
-            inputs=[base, *files],
+            inputs=[base, *turned, *files],
             figures=figures,
         )
 

@@ -525,6 +525,22 @@ def mesh_video_input(wildcards):
     )
 
 
+def turned_track(person, take):
+    """The base track of the take in which the person turns the head, which tells those of the others who that is."""
+    turning = PLAN.turning_take(person)
+    if turning in (None, take):
+        return []
+    return [f"results/{PLAN.name}/track_monocular/{person}/{turning}.npz"]
+
+
+def take_turned_track(wildcards):
+    return turned_track(wildcards.session, wildcards.take)
+
+
+def mesh_turned_track(wildcards):
+    return turned_track(wildcards.mesh_person, wildcards.take)
+
+
 def lip_clip(person, take):
     """Where what one camera saw of a take lies."""
     camera = f"results/{PLAN.name}/track_monocular/{person}/{take}.camera.json"

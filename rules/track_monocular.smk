@@ -3,6 +3,8 @@ What the base tracker makes of one camera's view of each take: of a session's mo
 subjects' videos.
 
 INPUTS:   base  = results/{study}/head_model/base.npz
+          turned = results/{study}/track_monocular/{person}/{take}.npz of a filmed take of kind pose, where the person has one:
+                   the head turns in it, and its track tells those of the other takes who that is
           rig, start, ingested, offsets, timeline = the session's cameras, the head on the take's first frame, its recordings,
                                                     their start times and the moments of its frames
 OUTPUTS:  track   = results/{study}/track_monocular/{person}/{take}.npz
@@ -15,6 +17,7 @@ rule track_monocular:
     """A session's take through the eyes of one camera."""
     input:
         base="results/{study}/head_model/base.npz",
+        turned=take_turned_track,
         rig="results/{session}/calibrate/rig.json",
         start="results/{session}/track/{take}/start.npz",
         ingested="results/{session}/ingest/{take}.json",
@@ -42,6 +45,7 @@ rule track_monocular_meshes:
     """A mesh subject's take through the eyes of the camera that filmed it."""
     input:
         base="results/{study}/head_model/base.npz",
+        turned=mesh_turned_track,
         files=mesh_video_input,
     output:
         track="results/{study}/track_monocular/{mesh_person}/{take}.npz",

@@ -17,7 +17,7 @@ from headcap.artifacts import load_arrays, save_arrays
 from headcap.errors import InputError
 from headcap.evaluation.lip_sections import LipSections
 from headcap.geometry.transforms import fit_rigid, transform
-from headcap.lips.correction import canonical_meshes, canonical_truth
+from headcap.lips.correction import TrueNeutral, canonical_meshes, canonical_truth
 from headcap.lips.mouth import Mouth
 
 KIND, SCHEMA = "lip_errors", 1
@@ -113,7 +113,7 @@ class LipReference:
     sections: LipSections
     base_neutral: NDArray[np.float64]
     """C_0 (n, 3) metres: the base-tracked mouth at rest, canonical."""
-    truth_neutral: NDArray[np.float64]
+    truth_neutral: NDArray[np.float64] | TrueNeutral
     """H_0 (n, 3) metres: the true one, in any frame."""
 
 

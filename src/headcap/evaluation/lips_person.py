@@ -55,7 +55,8 @@ def judge_person(
         for name, parameters in regressed(regressor, seen).items():
             if name not in sequences:
                 continue
-            true = seen[name].parameters(person.neutral, person.takes[name].true_meshes())
+            take = person.takes[name]
+            true = seen[name].parameters(take.neutral, take.true_meshes())
             sequences[name][plan.method] = seen[name].corrected(parameters, identity=regressor.identity).astype(np.float32)
             layers[name][plan.method] = layer_error(parameters, true)
             if plan.method == "GR":
@@ -72,7 +73,7 @@ def _judged(
 ) -> JudgedTake:
     take = person.takes[name]
     seen, truth = take.seen, take.true_meshes()
-    reference = LipReference(space.mouth, _sections(space), seen.neutral, person.neutral)
+    reference = LipReference(space.mouth, _sections(space), seen.neutral, take.neutral)
     sequences = {BASE: seen.base.world(seen.base.meshes).astype(np.float32)} | dict(corrected)
     errors = compare_lips(
         reference,

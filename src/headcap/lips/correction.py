@@ -58,6 +58,28 @@ def canonical_meshes(meshes: NDArray, neutral: NDArray, steady: NDArray) -> Cano
 
 
 @dataclass(frozen=True, eq=False)
+class TrueNeutral:
+    """A person's true neutral head H_0, and where on it lies what holds still of the base tracker's C_0 (section 4.1).
+
+    Two reconstructions of one person need not put a forehead's vertex at the same place of the skin, even in one topology: where
+    the skin shows nothing a tracker leaves it to its model. What is compared must not be turned and shifted by that.
+    """
+
+    vertices: NDArray[np.float64]
+    """(n, 3) metres, any frame."""
+    steady: NDArray[np.float64]
+    """(s, 3) places on its surface of the vertices `Mouth.steady` of C_0."""
+
+    @classmethod
+    def of(cls, given: NDArray | TrueNeutral, steady: NDArray) -> TrueNeutral:
+        """Of vertices (n, 3) whose numbers mean the same places as C_0's do."""
+        if isinstance(given, TrueNeutral):
+            return given
+        vertices = np.asarray(given, np.float64)
+        return cls(vertices, vertices[steady])
+
+
+@dataclass(frozen=True, eq=False)
 class CorrectionLayer:
     """The layer of one person (or one sequence) whose base-tracked neutral mesh is the anchor, frame f = 0 of the paper.
 
@@ -88,7 +110,11 @@ class CorrectionLayer:
     # -- eq. 1 ------------------------------------------------------------------------------------------------------------------
 
     def parameters(
-        self, base: NDArray, truth_neutral: NDArray, truth: NDArray, correspondence: Correspondence | None = None
+        self,
+        base: NDArray,
+        truth_neutral: NDArray | TrueNeutral,
+        truth: NDArray,
+        correspondence: Correspondence | None = None,
     ) -> NDArray[np.float32]:
         """l_f of eq. 1 (f, T, 9) between base-tracked (f, n, 3) and true meshes (f, N, 3); radians and strains.
 
@@ -170,18 +196,24 @@ class HeldBorder:
 class _TrueMotion:
     """H_0 and H_f of eq. 1 about a layer's triangles, in the layer's topology or in one that corresponds to it."""
 
-    def __init__(self, layer: CorrectionLayer, truth_neutral: NDArray, correspondence: Correspondence | None) -> None:
+    def __init__(
+        self, layer: CorrectionLayer, truth_neutral: NDArray | TrueNeutral, correspondence: Correspondence | None
+    ) -> None:
         self.mouth, self.correspondence = layer.mouth, correspondence
-        truth_neutral = np.asarray(truth_neutral, np.float64)
         coarse = layer.mouth.triangles[layer.mouth.layer]
+        steady = layer.mouth.steady
         if correspondence is None:
-            self.corners, registered = coarse, truth_neutral
+            true = TrueNeutral.of(truth_neutral, steady)
+            self.corners, registered = coarse, true.vertices
         else:
             self.corners = correspondence.rig_triangles[correspondence.of_triangle[layer.mouth.layer]]
-            registered = correspondence.carry(truth_neutral)
-        placed, self.unit, placement = _canonical_truth(registered, layer.base_neutral, layer.mouth.steady)
-        self.anchor = transform(placement, self.unit * truth_neutral)
-        self.steady = placed[layer.mouth.steady]
+            vertices = np.asarray(truth_neutral, np.float64)
+            registered = correspondence.carry(vertices)
+            true = TrueNeutral(vertices, registered[steady])
+        placement, self.unit = _placement(true, layer.base_neutral, steady)
+        self.anchor = transform(placement, self.unit * true.vertices)
+        placed = transform(placement, self.unit * registered)
+        self.steady = placed[steady]
         # V_H0^-1 D_0 V_C0: what stands between the frames of a true and the inverse of a base triangle
         identity = placed if layer.identity == "corrected" else layer.base_neutral
         self.between = np.linalg.inv(triangle_frames(self.anchor, self.corners)) @ triangle_frames(identity, coarse)
@@ -231,9 +263,14 @@ class _Patch:
         return self._held[1:]
 
 
-def canonical_truth(truth_neutral: NDArray, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray[np.float64], float]:
+def canonical_truth(
+    truth_neutral: NDArray | TrueNeutral, base_neutral: NDArray, steady: NDArray
+) -> tuple[NDArray[np.float64], float]:
     """H_0 (n, 3) brought onto C_0 (n, 3) by a similarity on `steady` (s,), and its scale."""
-    return _canonical_truth(truth_neutral, base_neutral, steady)[:2]
+    true = TrueNeutral.of(truth_neutral, steady)
+    _check_meshes(true.vertices[None], base_neutral)
+    placement, scale = _placement(true, base_neutral, steady)
+    return transform(placement, scale * true.vertices), scale
 
 
 def triangle_frames(vertices: NDArray, corners: NDArray) -> NDArray[np.float64]:
@@ -246,11 +283,9 @@ def triangle_frames(vertices: NDArray, corners: NDArray) -> NDArray[np.float64]:
 _NO_PLACES = np.zeros((0, 4, 4))
 
 
-def _canonical_truth(truth_neutral: NDArray, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray, float, NDArray]:
-    truth_neutral = np.asarray(truth_neutral, np.float64)
-    _check_meshes(truth_neutral[None], base_neutral)
-    placement, scale = fit_similarity(truth_neutral[steady], base_neutral[steady])
-    return transform(placement, scale * truth_neutral), scale, placement
+def _placement(true: TrueNeutral, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray[np.float64], float]:
+    """The similarity, rigid part (4, 4) and scale, that brings a true neutral head onto a base tracker's."""
+    return fit_similarity(true.steady, base_neutral[steady])
 
 
 def _robust_rigid(points: NDArray, neutral: NDArray) -> NDArray[np.float64]:

@@ -13,6 +13,8 @@ from headcap.calibration.result import load_camera
 from headcap.errors import InputError
 from headcap.lips.clips import ClipFiles
 from headcap.lips.contours import ContourSequence
+from headcap.lips.correction import TrueNeutral
+from headcap.lips.correspondence import NeutralFace, correspond
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.registration.sequence import MeshSequence, joined
@@ -57,7 +59,8 @@ class LipPersonFiles:
                 expected=f"the {len(space.model.vertices)} of {space.model.name}",
                 remedy="Register the scan with this version's base head.",
             )
-        return LipPerson(self.name, neutral, {files.name: _load_take(files, space, contours) for files in self.takes})
+        placing = _Placing(space, np.asarray(neutral, np.float64))
+        return LipPerson(self.name, neutral, {files.name: _load_take(files, space, placing, contours) for files in self.takes})
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,8 @@ class LipPersonTake:
     seen: SeenTake
     time_s: NDArray[np.float64]
     """(f,)"""
+    neutral: TrueNeutral
+    """H_0, registered with what the base tracker believes in this take (section 4.1)."""
     sequence: MeshSequence
     frames: NDArray[np.int64]
     """(f,) of the sequence that show the same moments."""
@@ -92,7 +97,31 @@ class LipPerson:
     takes: dict[str, LipPersonTake]
 
 
-def _load_take(files: LipTakeFiles, space: MouthSpace, contours: bool) -> LipPersonTake:
+class _Placing:
+    """Where a base tracker's neutral heads of one person lie on the true one; takes that share a head are registered once."""
+
+    def __init__(self, space: MouthSpace, neutral: NDArray[np.float64]) -> None:
+        self.space, self.neutral = space, neutral
+        self._found: dict[bytes, TrueNeutral] = {}
+
+    def __call__(self, base_neutral: NDArray[np.float64]) -> TrueNeutral:
+        """The true head as `base_neutral` (n, 3) lies on it."""
+        key = base_neutral.tobytes()
+        if key not in self._found:
+            steady = self.space.mouth.steady
+            registered = correspond(self._face(base_neutral), self._face(self.neutral)).registered
+            self._found[key] = TrueNeutral(self.neutral, registered[steady])
+        return self._found[key]
+
+    def _face(self, vertices: NDArray[np.float64]) -> NeutralFace:
+        model = self.space.model
+        skin = model.regions["face"].copy()
+        for name in ("eyes", "mouth_interior"):
+            skin &= ~model.regions.get(name, np.zeros(len(skin), bool))
+        return NeutralFace(vertices, model.triangles, {name: vertices[v] for name, v in model.landmarks.items()}, skin)
+
+
+def _load_take(files: LipTakeFiles, space: MouthSpace, placing: _Placing, contours: bool) -> LipPersonTake:
     track, sequence = MonocularTrack.load(files.track), MeshSequence.load(files.sequence)
     rings = ContourSequence.load(files.contours).contours() if contours else [None] * len(track)
     frames = np.clip(np.searchsorted(sequence.time_s, track.time_s - _SAME_MOMENT_S), 0, len(sequence) - 1)
@@ -104,4 +133,4 @@ def _load_take(files: LipTakeFiles, space: MouthSpace, contours: bool) -> LipPer
             remedy="Give the meshes the video's times.",
         )
     seen = SeenTake.of(space, track, load_camera(files.clip.camera), rings)
-    return LipPersonTake(files.kind, seen, track.time_s, sequence, frames)
+    return LipPersonTake(files.kind, seen, track.time_s, placing(seen.neutral), sequence, frames)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.heads import HeadModel
-from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, Identity, canonical_truth
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, Identity, TrueNeutral, canonical_truth
 from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, border_in_picture, lip_features
 from headcap.lips.foreign_tracks import BaseTrack, canonical_track
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
@@ -94,11 +94,11 @@ class SeenTake:
         """The correction layer on this take's neutral; as it is, of expression alone: who the person is stays as tracked."""
         return CorrectionLayer(self.space.mouth, self.neutral, identity)
 
-    def parameters(self, truth_neutral: NDArray, truth: NDArray) -> NDArray[np.float32]:
+    def parameters(self, truth_neutral: NDArray | TrueNeutral, truth: NDArray) -> NDArray[np.float32]:
         """l_f of eq. 1 (f, T, 9) against true meshes (f, n, 3) with their neutral (n, 3)."""
         return self.layer().parameters(self.base.meshes, truth_neutral, truth)
 
-    def known(self, truth_neutral: NDArray) -> SeenTake:
+    def known(self, truth_neutral: NDArray | TrueNeutral) -> SeenTake:
         """The same take of somebody whose true neutral head (n, 3) is known from the rig: D_0 of eq. 1 put in beforehand.
 
         What the tracker's neutral head lacks is added to every frame, so that the layer need not learn who somebody is; the

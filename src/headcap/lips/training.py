@@ -137,7 +137,7 @@ def as_seen_by(plan: RegressorPlan, person: LipPerson) -> dict[str, SeenTake]:
     takes = {name: take.seen for name, take in person.takes.items()}
     if plan.relation == "GR":
         return takes
-    return {name: seen.known(person.neutral) for name, seen in takes.items()}
+    return {name: seen.known(person.takes[name].neutral) for name, seen in takes.items()}
 
 
 def anchored_features(takes: Mapping[str, SeenTake]) -> dict[str, LipFeatures]:
@@ -161,7 +161,7 @@ def _training_takes(person: LipPerson, plan: RegressorPlan, left_out: Sequence[s
     seen = as_seen_by(plan, person)
     features = anchored_features(seen)
     return [
-        LipTake(person.name, name, features[name], seen[name].parameters(person.neutral, take.true_meshes()))
+        LipTake(person.name, name, features[name], seen[name].parameters(take.neutral, take.true_meshes()))
         for name, take in person.takes.items()
         if name not in left_out
     ]

@@ -101,6 +101,10 @@ class Plan:
             return ()
         return tuple(name for name in self.people if self.filmed(name))
 
+    def turning_take(self, person: str) -> str | None:
+        """A filmed take in which somebody turns the head, which tells a single camera who that is (see `lips.monocular`)."""
+        return next(iter(self.filmed(person, "pose")), None)
+
     @property
     def lip_tested(self) -> tuple[str, ...]:
         """People whose takes test regressors of lips."""

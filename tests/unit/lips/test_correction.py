@@ -7,7 +7,7 @@ from headcap.errors import InputError
 from headcap.geometry.rotations import rotation_matrices
 from headcap.geometry.transforms import from_vector, transform
 from headcap.heads import base_head
-from headcap.lips.correction import CorrectionLayer, canonical_meshes, canonical_truth, triangle_frames
+from headcap.lips.correction import CorrectionLayer, TrueNeutral, canonical_meshes, canonical_truth, triangle_frames
 from headcap.lips.mouth import MouthSettings, find_mouth
 from headcap.lips.triangle_parameters import triangle_gradients, triangle_parameters
 from headcap.synthetic.mesh_takes import mesh_subject
@@ -104,6 +104,24 @@ def test_the_layer_does_not_see_rigid_motion_and_the_result_moves_with_the_base(
     again = moved.world(layer.corrected(moved.meshes, expected))
     for move, one, other in zip(moves, corrected, again, strict=True):
         np.testing.assert_allclose(other, transform(from_vector(move), one), atol=1e-11)
+
+
+def test_a_forehead_whose_vertices_slid_turns_nothing_where_it_is_known_where_they_lie(mouth, subject, smiles):
+    neutral = subject.neutral_m
+    motion = smiles[2:4] - neutral
+    motion[:, mouth.steady] = 0.0
+    base, slid = neutral + 0.5 * motion, neutral.copy()
+    # half of the forehead's vertices lie three millimetres higher on it, so that a fit to them turns
+    slid[mouth.steady[::2]] += [0.0, 3e-3, 1e-3]
+    layer = CorrectionLayer(mouth, neutral)
+    expected = layer.parameters(base, neutral, neutral + motion)
+    told = TrueNeutral(slid, neutral[mouth.steady])
+    anchor, scale = canonical_truth(told, neutral, mouth.steady)
+    np.testing.assert_allclose(anchor, slid, atol=1e-12)
+    assert scale == pytest.approx(1.0, abs=1e-12)
+    # single precision of the numbers, amplified where triangles are thin
+    np.testing.assert_allclose(layer.parameters(base, told, slid + motion), expected, atol=1e-5)
+    assert np.abs(layer.parameters(base, slid, slid + motion) - expected).max() > 1e-3
 
 
 def test_a_larger_truth_gives_the_same_layer(mouth, subject, smiles):

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from headcap.artifacts import ArtifactError
 from headcap.cameras import Camera
 from headcap.errors import InputError
-from headcap.geometry.transforms import fit_rigid, rigid, rotation_angle, transform
+from headcap.geometry.transforms import fit_rigid, fit_similarity, rigid, rotation_angle, transform
 from headcap.heads import HeadCoefficients, HeadModel, procedural_model
+from headcap.lips.clips import Clip
 from headcap.lips.foreign_tracks import BaseTrack
 from headcap.lips.monocular import detections, harmonics
 from headcap.lips.monocular.pictures import levels_of, resized
@@ -19,6 +20,7 @@ from headcap.lips.monocular.problem import Appearance, FrameProblem, Prior
 from headcap.lips.monocular.sequence import MonocularTrack, track_video
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.solver import Fit, descend
+from headcap.lips.monocular.stage import followed_clip
 from headcap.lips.monocular.surface import Estimate, FaceSurface
 from headcap.lips.monocular.tracker import FrameState, MonocularTracker
 from headcap.meshes.normals import vertex_normals
@@ -177,6 +179,31 @@ def test_the_layer_is_recovered_where_albedo_and_light_are_known():
     across = [np.linalg.norm(each[:, :2], axis=1).mean() for each in away]
     assert across[1] < PIXEL_MM / 3 < PIXEL_MM < across[0]
     assert np.abs(away[1][:, 2]).mean() < 0.7 * np.abs(away[0][:, 2]).mean()
+
+
+def test_a_head_that_turns_tells_who_it_is(studio: Studio):
+    turns = [(0, 0), (0, 8), (0, 16), (0, 24), (0, 12), (0, 0), (0, -10), (0, -20), (8, -10), (14, 0)]
+    facing, shift = studio.still.camera_from_head[:3, :3], studio.still.camera_from_head[:3, 3]
+    moments = [
+        Moment(np.zeros(30), 0.0, rigid(Rotation.from_euler("xy", turn, degrees=True).as_matrix() @ facing, shift))
+        for turn in turns
+    ]
+    pictures = [studio.picture(moment, seed=k) for k, moment in enumerate(moments)]
+    clip = Clip(studio.camera, np.arange(len(turns)) / 25, lambda: iter(pictures))
+    points = {0: studio.points(moments[0])}
+    alone = track_video(studio.model, studio.camera, pictures, clip.time_s, points, SETTINGS)
+    together = followed_clip(studio.model, clip, SETTINGS, points)
+    rest = Moment(np.zeros(30), 0.0, np.eye(4))
+    errors = []
+    for track in (alone, together):
+        true, face = studio.mesh(rest), studio.model.regions["face"]
+        found = track.neutral(studio.model)
+        placement, scale = fit_similarity(found[face], true[face])
+        errors.append(1e3 * np.linalg.norm(transform(placement, scale * found) - true, axis=1)[face].mean())
+    assert together.answered.all()
+    # a pixel across at 24 degrees is 1 / sin(24 degrees) = 2.5 pixels in depth, and places are followed to half of one
+    assert errors[1] < 1.25 * PIXEL_MM
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_over_a_gap_a_face_may_change_as_over_its_frames(started: Started):

@@ -12,6 +12,7 @@ from headcap.heads import procedural_model
 from headcap.lips.artifact import LipRegressor
 from headcap.lips.contours import ContourDetector, ContourSettings, SearchSettings
 from headcap.lips.contours.detector import CONTOURS, PASSES
+from headcap.lips.correction import TrueNeutral
 from headcap.lips.kit import LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import FrameState, MonocularSettings, MonocularTrack
@@ -124,7 +125,8 @@ def regressor(space, seen, tmp_path_factory) -> LipRegressor:
     folder = tmp_path_factory.mktemp("truth")
     save_chunk(folder / "take.npy", truth)
     sequence = MeshSequence("take", np.arange(FRAMES) / 10, (folder / "take.npy",))
-    take = LipPersonTake("lips", seen, sequence.time_s, sequence, np.arange(FRAMES))
+    true = TrueNeutral.of(seen.neutral, space.mouth.steady)
+    take = LipPersonTake("lips", seen, sequence.time_s, true, sequence, np.arange(FRAMES))
     person = LipPerson("anna", seen.neutral, {"one": take, "two": take})
     settings = LipTrainingSettings(test_takes=("two",), regression=RegressionSettings(every=2, folds=2))
     generic, own = (

@@ -16,6 +16,7 @@ from headcap.geometry.transforms import invert
 from headcap.heads import HeadCoefficients, HeadModel
 from headcap.heads.model import RestOffset
 from headcap.lips.monocular.detections import SCHEMES
+from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.tracker import FrameResult, FrameState, MonocularTracker
 
@@ -69,10 +70,14 @@ class MonocularTrack:
         pose = np.stack([np.zeros_like(self.jaw[frames]), self.jaw[frames]], axis=-2)
         return HeadCoefficients(self.shape, self.expression[frames], pose, placement=self.placement[frames])
 
+    @property
+    def person(self) -> MonocularPerson:
+        """Who the track shows."""
+        return MonocularPerson(self.model, self.shape, self.layer)
+
     def neutral(self, model: HeadModel) -> NDArray[np.float64]:
         """(n, 3) the person at rest, metres, in the head's frame. Raises `InputError` for another head model."""
-        self.check(model)
-        return np.asarray(model.identity(self.shape), np.float64) + self.layer
+        return self.person.neutral(model)
 
     def camera(self, given: Camera) -> Camera:
         """The camera that was given to the tracker, with the focal length that was found."""
@@ -123,14 +128,15 @@ def track_video(
     settings: MonocularSettings | None = None,
     *,
     focal_known: bool = True,
+    person: MonocularPerson | None = None,
 ) -> MonocularTrack:
     """Follow the face through pictures (height, width, 3) uint8, sRGB-encoded, BGR, taken at `time_s` (f,) by a camera.
 
     `detections` are points (68, 468 or 478, 2) by frame number. The first frame that has any starts the tracker and should show
     a neutral face; later ones help where they are given. Without any, the first frame in which a frontal face is found starts
     it: the largest, and none where two are about as large. Frames before, those in which the face is hidden, turned away or gone,
-    are marked `LOST` and NaN. Raises `InputError` where nothing starts, where times do not rise, and where pictures and times
-    differ in number.
+    are marked `LOST` and NaN. A `person` who is known is placed and not estimated. Raises `InputError` where nothing starts,
+    where times do not rise, and where pictures and times differ in number.
     """
     time_s = np.asarray(time_s, float)
     given = {k: points for k, points in (detections or {}).items() if 0 <= k < len(time_s) and len(points) in SCHEMES}
@@ -140,7 +146,7 @@ def track_video(
             expected="one frame at least, of a neutral face seen from the front",
             remedy="Give a detector's file for this video.",
         )
-    tracker = MonocularTracker(model, camera, settings, focal_known=focal_known)
+    tracker = MonocularTracker(model, camera, settings, focal_known=focal_known, person=person)
     steps = _steps(time_s)
     results: list[FrameResult | None] = []
     refusal: InputError | None = None
@@ -204,6 +210,6 @@ def _joined(
         for name, values in figures.items():
             values[k] = getattr(result, name)
     states = tuple(FrameState.LOST if result is None else result.state for result in results)
-    ratio, shape = float(np.exp(begun.estimate.log_focal)), begun.estimate.shape[: surface.model_shapes]
+    ratio, shape = float(np.exp(begun.estimate.log_focal)), surface.shape(begun.estimate)
     arrays["layer"] = surface.layer(begun.estimate)
     return MonocularTrack(model.digest, time_s, states, shape, focal_ratio=ratio, others=begun.others, **arrays, **figures)

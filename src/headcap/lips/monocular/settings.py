@@ -3,6 +3,29 @@
 from pydantic import BaseModel, ConfigDict, Field
 
 
+class IdentitySettings(BaseModel):
+    """Who somebody is, from frames in which the head turns; ours."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key_frames: int = Field(8, ge=2, description="Frames that are used at most")
+    least_turn_deg: float = Field(12.0, gt=0, description="Turn of the head from the first frame, below which one frame must do")
+    harmonics: int = Field(40, ge=0, description="Of the medium-scale layer beyond the model's shapes; 0 for none")
+    harmonic_mm: float = Field(2.0, gt=0, description="Root mean square displacement expected of its longest wave")
+    rounds: int = Field(3, ge=1, description="Times that the skin is followed anew, each from where the last one left it")
+    places: int = Field(600, ge=50, description="Places of the skin that are followed")
+    edge_px: float = Field(4.0, gt=0, description="Median edge of the mesh in the pictures in which they are followed, at most")
+    flow_noise_px: float = Field(
+        1.0, gt=0, description="Standard deviation of where they are found: neighbours err together, so more than one alone does"
+    )
+    expression_spread: float = Field(
+        0.1,
+        gt=0,
+        description="Deviation of expression and jaw in these frames over that in others: somebody who turns the head for the "
+        "camera makes no faces; wider, expressions of each frame take up what is the person's",
+    )
+
+
 class MonocularSettings(BaseModel):
     """Where the paper refers to Garrido et al. 2016 without numbers, these are ours."""
 
@@ -63,3 +86,4 @@ class MonocularSettings(BaseModel):
     least_correlation: float = Field(0.6, ge=-1, le=1, description="Of rendering and picture, below which the face is lost")
     least_inliers: float = Field(0.5, ge=0, le=1, description="Share of the skin that must look as expected, or the face is lost")
     least_visible: float = Field(0.4, ge=0, le=1, description="Share of the skin known at the first frame that must be in view")
+    identity: IdentitySettings = Field(IdentitySettings(), description="Who somebody is, where frames show the head turned")

@@ -123,7 +123,7 @@ def descend_sparse(
     shape, focal = bool(free[surface.shape_columns].any()), bool(free[-1])
     energy = problem.sparse_energy(estimate, surface.in_camera(estimate))
     for _ in range(steps):
-        here = slopes or surface.slopes(estimate, shape=shape, focal=focal)
+        here = slopes or surface.slopes(estimate, shape=shape, focal=focal, normals=False)
         here = _chosen(here, free)
         matrix, right = problem.sparse_normal(estimate, surface.in_camera(estimate), here)
         _damp(matrix, here)

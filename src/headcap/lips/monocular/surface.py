@@ -7,6 +7,7 @@ normals are in the camera's axes, metres.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from headcap.geometry.rotations import rotation_derivatives, rotation_matrices
 from headcap.geometry.transforms import rigid, transform
 from headcap.heads import HeadModel
 from headcap.lips.monocular.medium_scale import medium_layer
+from headcap.lips.monocular.person import MonocularPerson
 from headcap.meshes.normals import vertex_normals
 from headcap.meshes.topology import submesh
 
@@ -79,11 +81,13 @@ class FaceSurface:
         *,
         harmonics: int = 0,
         harmonic_m: float = 2e-3,
+        person: MonocularPerson | None = None,
     ) -> None:
         """`expressions` and `shapes` limit how many of the leading coefficients are unknown (all by default).
 
         `harmonics` of the medium-scale layer (see `medium_layer`) follow the model's shapes as further shapes, three each, with
-        a deviation of `harmonic_m`. Raises `InputError` for a model that does not tell where its face is.
+        a deviation of `harmonic_m`. Of a known `person` neither is unknown. Raises `InputError` for a model that does not tell
+        where its face is, and for a person of another head model.
         """
         if "face" not in model.regions:
             raise InputError(
@@ -97,8 +101,11 @@ class FaceSurface:
         """`vertices` (n,) are indices into the model's."""
         self.blind = blind[self.vertices]
         self.expressions = min(len(model.expression_basis), expressions if expressions is not None else 10**9)
+        self.person, rest = person, model.vertices.astype(np.float64) if person is None else person.neutral(model)
+        if person is not None:
+            shapes = harmonics = 0
         self.model_shapes = min(len(model.shape_basis), shapes if shapes is not None else 10**9)
-        self._mean = model.vertices[self.vertices].astype(np.float64)
+        self._mean = rest[self.vertices]
         self._expression = np.ascontiguousarray(model.expression_basis[: self.expressions, self.vertices], np.float32)
         own = np.asarray(model.shape_basis[: self.model_shapes, self.vertices], np.float32)
         self._shape = np.concatenate([own, medium_layer(self._mean, self.triangles, harmonics, harmonic_m)])
@@ -107,12 +114,22 @@ class FaceSurface:
         self._corrected = bool(np.any(self._corrective))
         self._jaw_weight = model.skinning_weights[self.vertices, _JAW_JOINT + 1].astype(np.float64)
         regress = model.joint_regressor[_JAW_JOINT].astype(np.float64)
-        self._joint = regress @ model.vertices
+        # joints are the model's: the layer beyond it moves none
+        self._joint = regress @ (model.vertices if person is None else model.identity(person.shape))
         self._joint_slopes = np.zeros((self.shapes, 3))
         known = model.shape_basis[: self.model_shapes]
         self._joint_slopes[: self.model_shapes] = np.einsum("n,snc->sc", regress, known, optimize=True)
         self.number = np.full(len(model.vertices), -1)
         self.number[self.vertices] = np.arange(len(self.vertices))
+
+    def at(self, chosen: NDArray) -> FaceSurface:
+        """The same face at some of its vertices (k,) alone, in their order: without triangles, normals or a layer to tell."""
+        part = copy(self)
+        part.vertices, part.blind, part.triangles = self.vertices[chosen], self.blind[chosen], self.triangles[:0]
+        part._mean, part._corrective, part._jaw_weight = self._mean[chosen], self._corrective[:, chosen], self._jaw_weight[chosen]
+        part._expression = np.ascontiguousarray(self._expression[:, chosen])
+        part._shape = np.ascontiguousarray(self._shape[:, chosen])
+        return part
 
     def steadiness(self, jaw_rad: float, steady_m: float) -> NDArray[np.float64]:
         """(n,) 0 to 1: how well each vertex tells the head's rigid motion, whatever the face does.
@@ -138,8 +155,14 @@ class FaceSurface:
         """Of beta among the unknowns."""
         return slice(FIRST_EXPRESSION + self.expressions, self.unknowns - 1)
 
+    def shape(self, estimate: Estimate) -> NDArray[np.float64]:
+        """The model's shape coefficients (s,) of an estimate, or of the person that is known."""
+        return estimate.shape[: self.model_shapes] if self.person is None else self.person.shape
+
     def layer(self, estimate: Estimate) -> NDArray[np.float32]:
         """The medium-scale layer (N, 3) of an estimate on the whole head of N vertices, metres at rest; joints stay put."""
+        if self.person is not None:
+            return self.person.layer
         out, chosen = np.zeros((len(self.number), 3), np.float32), slice(self.model_shapes, None)
         out[self.vertices] = np.tensordot(estimate.shape[chosen].astype(np.float32), self._shape[chosen], 1)
         return out
@@ -162,8 +185,10 @@ class FaceSurface:
         """Unit vertex normals (n, 3) of vertices (n, 3)."""
         return vertex_normals(vertices, self.triangles)
 
-    def slopes(self, estimate: Estimate, *, shape: bool = False, focal: bool = False) -> Slopes:
+    def slopes(self, estimate: Estimate, *, shape: bool = False, focal: bool = False, normals: bool = True) -> Slopes:
         """Derivatives of `in_camera` and its `normals` by turn, shift, jaw and expression; by shape and focal length where asked.
+
+        Those of normals cost most; without `normals` they are zero.
 
         A longer lens moves a pixel as a head that grows across the view does: that motion stands for it (exact without
         distortion).
@@ -191,11 +216,12 @@ class FaceSurface:
             _carry(self._shape, blended, own)
             drift = self._joint_slopes @ (np.eye(3) - rotation).T @ head_rotation.T
             own += (drift[:, None] * self._jaw_weight[:, None]).astype(np.float32)
-        normals = np.zeros_like(out)
+        turned_normals = np.zeros_like(out) if normals else np.broadcast_to(np.float32(0.0), out.shape)
         if focal:
             out[-1] = vertices * [1.0, 1.0, 0.0]
-        _normal_slopes(vertices, self.triangles, out[: len(out) - focal], normals)
-        return Slopes(columns, out, normals)
+        if normals:
+            _normal_slopes(vertices, self.triangles, out[: len(out) - focal], turned_normals)
+        return Slopes(columns, out, turned_normals)
 
     def moved(self, estimate: Estimate, step: NDArray) -> Estimate:
         """The estimate after a step of all unknowns."""

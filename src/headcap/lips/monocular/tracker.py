@@ -16,6 +16,7 @@ from headcap.lips.monocular import detections
 from headcap.lips.monocular.alignment import flow_features, open_eyed_colour
 from headcap.lips.monocular.finder import RIVAL_SHARE, find_faces, followed, generic_colour, mistaken
 from headcap.lips.monocular.harmonics import COEFFICIENTS, harmonics
+from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.photometric import Level, observed
 from headcap.lips.monocular.pictures import cameras_of_levels, finest_share, levels_of
 from headcap.lips.monocular.problem import Appearance, Features, FrameProblem, Look, Prior
@@ -77,13 +78,22 @@ class MonocularTracker:
     """Follows one face in one camera's pictures (height, width, 3) uint8, sRGB-encoded, channels in any but one order."""
 
     def __init__(
-        self, model: HeadModel, camera: Camera, settings: MonocularSettings | None = None, *, focal_known: bool = True
+        self,
+        model: HeadModel,
+        camera: Camera,
+        settings: MonocularSettings | None = None,
+        *,
+        focal_known: bool = True,
+        person: MonocularPerson | None = None,
     ) -> None:
-        """`camera` may stand anywhere: estimates are in its own axes. An unknown focal length is estimated at the first frame."""
+        """`camera` may stand anywhere: estimates are in its own axes. An unknown focal length is estimated at the first frame.
+
+        A `person` who is known already is placed there, and not estimated.
+        """
         self.settings = settings or MonocularSettings()
         chosen = self.settings
         limits = {"harmonics": chosen.harmonics, "harmonic_m": 1e-3 * chosen.harmonic_mm}
-        self.surface = FaceSurface(model, chosen.expressions, chosen.shapes, **limits)
+        self.surface = FaceSurface(model, chosen.expressions, chosen.shapes, **limits, person=person)
         self.camera, self.focal_known = replace(camera, camera_from_world=np.eye(4)), focal_known
         jaw_rad = float(np.radians(self.settings.jaw_deg[0]))
         self._steadiness = self.surface.steadiness(jaw_rad, 1e-3 * self.settings.steady_mm)
