@@ -13,12 +13,13 @@ def run(
     maps: list[Path],
     comparisons: list[Path],
     curves: list[Path],
+    inpainted: list[Path],
     sheets: list[Path],
     page: Path,
     people: dict[str, str],
     settings: dict,
 ) -> None:
-    files = LipFiles(tables, figures, tuple(maps), tuple(comparisons), tuple(curves), tuple(sheets))
+    files = LipFiles(tables, figures, tuple(maps), tuple(comparisons), tuple(curves), tuple(inpainted), tuple(sheets))
     write_lips_report(files, people, settings, page)
     write_manifest(
         page,

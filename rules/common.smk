@@ -511,6 +511,33 @@ def voice_errors(wildcards):
 # ---- lips
 
 
+def bare_take(stage, file):
+    """What a stage made of the take that shows a session's lips without their tattoo."""
+
+    def entry(wildcards):
+        take = session_of(wildcards).bare_take
+        return f"results/{wildcards.session}/{stage}/{file.format(take=take)}"
+
+    return entry
+
+
+def lip_recordings(session, take):
+    """Recordings that the base tracker reads: where the lips are tattooed, what one camera saw with the tattoo painted over."""
+    tattooed = take in PLAN.sessions[session].tattooed_takes
+    return f"results/{session}/{'inpaint_lips' if tattooed else 'ingest'}/{take}.json"
+
+
+def take_lip_recordings(wildcards):
+    return lip_recordings(wildcards.session, wildcards.take)
+
+
+def all_inpainted(wildcards):
+    """The paper's figure 5 of each tattooed take."""
+    return [
+        f"results/{person}/inpaint_lips/{take}.png" for person, take in PLAN.inpainted
+    ]
+
+
 def mesh_video(wildcards):
     return PLAN.meshes[wildcards.mesh_person].take(wildcards.take).video
 
@@ -548,7 +575,7 @@ def lip_clip(person, take):
         folder = f"results/{person}"
         return {
             "camera": camera,
-            "ingested": f"{folder}/ingest/{take}.json",
+            "ingested": lip_recordings(person, take),
             "offsets": f"{folder}/sync/{take}.json",
             "timeline": f"{folder}/sync/{take}.timeline.json",
         }

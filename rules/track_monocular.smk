@@ -5,8 +5,9 @@ subjects' videos.
 INPUTS:   base  = results/{study}/head_model/base.npz
           turned = results/{study}/track_monocular/{person}/{take}.npz of a filmed take of kind pose, where the person has one:
                    the head turns in it, and its track tells those of the other takes who that is
-          rig, start, ingested, offsets, timeline = the session's cameras, the head on the take's first frame, its recordings,
-                                                    their start times and the moments of its frames
+          rig, start, ingested, offsets, timeline = the session's cameras, the head on the take's first frame, its recordings
+                                                    (where the lips are tattooed, the painted one of that camera), their
+                                                    start times and the moments of its frames
 OUTPUTS:  track   = results/{study}/track_monocular/{person}/{take}.npz
           camera  = results/{study}/track_monocular/{person}/{take}.camera.json
           picture = results/{study}/track_monocular/{person}/{take}.png, frames with the face drawn over them
@@ -20,7 +21,7 @@ rule track_monocular:
         turned=take_turned_track,
         rig="results/{session}/calibrate/rig.json",
         start="results/{session}/track/{take}/start.npz",
-        ingested="results/{session}/ingest/{take}.json",
+        ingested=take_lip_recordings,
         offsets="results/{session}/sync/{take}.json",
         timeline="results/{session}/sync/{take}.timeline.json",
     output:

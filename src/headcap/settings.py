@@ -20,6 +20,7 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
+from headcap.lips.inpainting.settings import InpaintingSettings
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.training import LipTrainingSettings
 from headcap.neck.training.pose_expression import PoseExpressionSettings
@@ -38,6 +39,8 @@ CALIBRATION = "calibration"
 """Name of the board's recording among a session's recordings."""
 
 Vector = tuple[float, float, float]
+_MOVING_LIPS = ("lips", "speech", "expression", "free", "pose")
+"""Kinds of takes, the likeliest first that the mouth opens in."""
 
 
 class _Settings(BaseModel):
@@ -86,6 +89,10 @@ class Take(_Recordings):
         default=None, description="First and last frame, counted on the camera that started last; by default all."
     )
     masks: str | None = Field(default=None, description="Pattern with {camera} and {frame} of silhouettes, white is subject.")
+    lip_tattoo: bool | None = Field(
+        default=None,
+        description="Whether the lips are tattooed; without a word as rehearsed, else takes of kind lips are and others are not.",
+    )
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Self:
@@ -171,6 +178,12 @@ class Session(_Training):
     lip_camera: Name | None = Field(
         default=None, description="Camera that stands for a single video where lips are learnt; by default the most frontal one."
     )
+    untattooed_take: Name | None = Field(
+        default=None,
+        description="Take that shows the lips without tattoo, for takes with one to be painted over; by default the first "
+        "of lips, else of speech, of expressions, a free one, of poses.",
+    )
+    inpaint_lips: InpaintingSettings = InpaintingSettings()
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
         default=None, description="Render the recordings first; what the session does not say is then taken from here."
@@ -201,6 +214,23 @@ class Session(_Training):
     def recorded(self, name: str) -> CalibrationRecordings | Take:
         """The take of that name, or the board's recording."""
         return self.calibration if name == CALIBRATION else next(take for take in self.takes if take.name == name)
+
+    @property
+    def tattooed_takes(self) -> tuple[str, ...]:
+        """Takes in which the lips are tattooed."""
+        return tuple(take.name for take in self.takes if self._lips_tattooed(take))
+
+    @property
+    def bare_take(self) -> str | None:
+        """The take that shows the lips without their tattoo, by default one in which they move; None where there is none."""
+        tattooed = self.tattooed_takes
+        bare = [take for take in self.takes if take.name not in tattooed]
+        liveliest = min(bare, key=lambda take: _MOVING_LIPS.index(take.kind), default=None)
+        return self.untattooed_take or (liveliest and liveliest.name)
+
+    def _lips_tattooed(self, take: Take) -> bool:
+        rehearsed = {} if self.rehearse is None else {made.name: made.lips_tattooed for made in self.rehearse.takes}
+        return rehearsed.get(take.name, take.kind == "lips") if take.lip_tattoo is None else take.lip_tattoo
 
     def path(self, relative: str) -> str:
         """A path of the session file, from the data root."""
@@ -298,6 +328,11 @@ def disagreements(session: Session) -> list[str]:
     ]
     if session.lip_camera is not None and session.lip_camera not in cameras:
         told.append(f"lip_camera: no camera is called {session.lip_camera}")
+    bare = session.untattooed_take
+    if bare is not None and bare not in takes:
+        told.append(f"untattooed_take: no take is called {bare}")
+    elif bare in session.tattooed_takes:
+        told.append(f"untattooed_take: the lips are tattooed in {bare}")
     unknown = sorted({*session.limits, *session.allow} - known_figures())
     told += [f"limits, allow: no figure is called {name}" for name in unknown]
     for key, where in ((CALIBRATION, session.calibration), *((f"takes.{take.name}", take) for take in session.takes)):

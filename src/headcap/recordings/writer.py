@@ -18,7 +18,7 @@ _TICKS_PER_FRAME = 512
 
 def write_video(
     path: Path | str,
-    frames: Iterable[tuple[int, NDArray[np.uint8]]],
+    frames: Iterable[tuple[float, NDArray[np.uint8]]],
     size: tuple[int, int],
     rate_hz: float,
     *,
@@ -28,8 +28,8 @@ def write_video(
 ) -> None:
     """Write frames (slot, RGB (height, width, 3)) of `size` (width, height), both even, and sound (n,) to an mp4.
 
-    Slot k is presented at k / rate, missing slots are gaps. `crf` is H.264's quality, lower is better. Only one frame is held at
-    a time; the file appears whole or not at all.
+    Slot k is presented at k / rate, missing slots are gaps; parts of a slot count, to a 512th. `crf` is H.264's quality, lower is
+    better. Only one frame is held at a time; the file appears whole or not at all.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         picture = _picture_stream(container, size, rate_hz, crf)
@@ -37,7 +37,7 @@ def write_video(
         blocks = iter(()) if sound is None else _sound_blocks(sound, sound_rate_hz)
         for slot, image in frames:
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24").reformat(format="yuv420p")
-            frame.pts, frame.time_base = slot * _TICKS_PER_FRAME, picture.codec_context.time_base
+            frame.pts, frame.time_base = round(slot * _TICKS_PER_FRAME), picture.codec_context.time_base
             container.mux(picture.encode(frame))
             # sound goes in beside the picture, so that players and readers need not seek
             for block in blocks:

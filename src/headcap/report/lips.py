@@ -1,4 +1,4 @@
-"""The page of a study's lips: tables 1 to 3 of the lip paper with intervals over takes, and its figures 14 to 16."""
+"""The page of a study's lips: tables 1 to 3 of the lip paper with intervals over takes, and its figures 5 and 14 to 16."""
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ class LipFiles:
     """Of each person."""
     comparisons: tuple[Path, ...]
     curves: tuple[Path, ...]
+    inpainted: tuple[Path, ...]
+    """Figure 5 of each tattooed take of a rig."""
     sheets: tuple[Path, ...]
     """Frames with what the base tracker makes of them, of each take."""
 
     @property
     def all(self) -> list[Path]:
         """Every file that is read."""
-        return [self.tables, self.figures, *self.maps, *self.comparisons, *self.curves, *self.sheets]
+        return [self.tables, self.figures, *self.maps, *self.comparisons, *self.curves, *self.inpainted, *self.sheets]
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ def write_lips_report(files: LipFiles, people: Mapping[str, str], settings: Mapp
         table_1=drawing(diagrams.error_bars(study), "Table 1 as bars, intervals over takes; the paper's in grey"),
         tables_2_3=drawing(diagrams.input_bars(study, told), "Tables 2 and 3, and the affine regressor") if told else None,
         persons=[(name, _shown(files, number)) for number, name in enumerate(people)],
+        inpainted=[_drawn(picture, f"Figure 5: {picture.parents[1].name}, {picture.stem}") for picture in files.inpainted],
         sheets=[_drawn(sheet, f"Base tracker: {sheet.parent.name}, {sheet.stem}") for sheet in files.sheets],
     )
 

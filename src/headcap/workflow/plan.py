@@ -106,6 +106,17 @@ class Plan:
         return next(iter(self.filmed(person, "pose")), None)
 
     @property
+    def inpainted(self) -> tuple[tuple[str, str], ...]:
+        """Person and take of filmed takes of sessions in which tattooed lips are painted over."""
+        return tuple(
+            (name, take)
+            for name in self.lip_people
+            if name in self.sessions
+            for take in self.sessions[name].tattooed_takes
+            if take in self.filmed(name)
+        )
+
+    @property
     def lip_tested(self) -> tuple[str, ...]:
         """People whose takes test regressors of lips."""
         return tuple(name for name in self.lip_people if self.lip_tests(name))
@@ -144,7 +155,9 @@ def load_plan(document: dict[str, Any]) -> Plan:
         _refuse(errors)
         trains = {key: getattr(session, key) for key in _TRAINING}
         trains = {key: value for key, value in trains.items() if value is not None}
-        return Plan(Study(study=session.session, sessions=(session.session,), **trains), {session.session: session})
+        alone = Plan(Study(study=session.session, sessions=(session.session,), **trains), {session.session: session})
+        _refuse(_always_tattooed(alone))
+        return alone
     document, nested = _with_mesh_rehearsals(document)
     study, errors = validate(Study, document)
     _refuse(nested + errors)
@@ -155,7 +168,7 @@ def load_plan(document: dict[str, Any]) -> Plan:
     errors += [_named_twice(name) for name in sorted({name for name in names if names.count(name) > 1})]
     _refuse(errors)
     plan = Plan(study, {session.session: session for session, _ in checked})
-    _refuse([_disagreement(told) for told in study_disagreements(plan)] + _missing_mesh_files(study))
+    _refuse([_disagreement(told) for told in study_disagreements(plan)] + _missing_mesh_files(study) + _always_tattooed(plan))
     return plan
 
 
@@ -187,6 +200,21 @@ def study_disagreements(plan: Plan) -> Iterator[str]:
         if subject.camera is None and any(take.video for take in subject.takes):
             yield f"{subject.subject}: takes have videos, but camera names none that took them"
         yield from (f"{subject.subject}, limits: no figure is called {name}" for name in unknown)
+
+
+def _always_tattooed(plan: Plan) -> list[InputError]:
+    tattooed: dict[str, list[str]] = {}
+    for person, take in plan.inpainted:
+        tattooed.setdefault(person, []).append(take)
+    return [
+        InputError(
+            f"{person}: the lips are tattooed in {', '.join(takes)}, and no take shows them without",
+            expected="one take without lip tattoo, from which bare lips are painted over the tattoos",
+            remedy="Record one, of any kind, or say lip_tattoo: false of takes whose lips bear none.",
+        )
+        for person, takes in tattooed.items()
+        if plan.sessions[person].bare_take is None
+    ]
 
 
 def _missing_mesh_files(study: Study) -> list[InputError]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import itertools
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,23 @@ def most_alike(meshes: Iterable[NDArray], mesh: NDArray, region: LipRegion) -> t
     if not away:
         raise InputError("a tattooed take without frames", expected="one at least", remedy="Look at the take's tracking.")
     return int(np.argmin(away)), float(min(away))
+
+
+def most_unlike(open_meshes: Callable[[], Iterable[NDArray]], mesh: NDArray, region: LipRegion, count: int) -> list[int]:
+    """Which of some meshes (n, 3), at most `count`, rising, differ most about the mouth from another and from each other.
+
+    Farthest-point sampling; `open_meshes` gives them anew each time, so that they need not be held in memory.
+    """
+    chosen: list[int] = []
+    nearest, wanted = np.inf, _centred(mesh, region)
+    while len(chosen) < count:
+        nearest = np.minimum(nearest, [_away(other, wanted, region) for other in open_meshes()])
+        farthest = int(np.argmax(nearest))
+        if nearest[farthest] <= 0:
+            break
+        chosen.append(farthest)
+        wanted = _centred(next(itertools.islice(open_meshes(), farthest, None)), region)
+    return sorted(chosen)
 
 
 def _away(mesh: NDArray, wanted: NDArray, region: LipRegion) -> float:
