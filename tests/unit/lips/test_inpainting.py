@@ -8,21 +8,34 @@ import pytest
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
 from headcap.heads.procedural import base_head
+from headcap.lips.clips import rig_clip
 from headcap.lips.inpainting import (
     InpaintingSettings,
     LipPainter,
     LipRegion,
     LipTexture,
+    MeshMotion,
+    TrackedTake,
+    bare_lips,
+    inpaint_take,
     inpainting_figure,
     lip_texture,
     most_alike,
+    most_unlike,
     slightly_open,
 )
 from headcap.lips.inpainting.painter import _Smoother, composite
 from headcap.lips.inpainting.texture import fill
 from headcap.lips.inpainting.views import view_texels
 from headcap.meshes.rasteriser import rasterise
+from headcap.recordings.probe import probe
+from headcap.recordings.takes import IngestedTake
+from headcap.recordings.video import VideoFrames
+from headcap.recordings.writer import write_video
+from headcap.registration.sequence import MeshSequence, save_chunk
 from headcap.registration.template import Template
+from headcap.sync.offsets import TimeOffsets
+from headcap.sync.timeline import TakeTimeline
 from headcap.synthetic.lighting import Lights
 from headcap.synthetic.mesh_pictures import look_of
 from headcap.synthetic.mesh_takes import mesh_subject
@@ -282,3 +295,125 @@ def test_bad_input_is_told(scene, template):
         LipRegion.of(flat, SETTINGS)
     with pytest.raises(ValueError, match="odd"):
         InpaintingSettings(supersampling=2)
+
+
+RATE_HZ, START_S = 25.0, {"left": 0.02, "front": 0.093, "right": 0.1}
+"""The front camera fires between the moments at which the head is tracked, and has frames before and behind them."""
+
+
+def _jaw(time_s):
+    return 0.3 + 0.25 * np.sin(9 * (time_s - 0.2))
+
+
+def _offsets(cameras, name):
+    starts = tuple(START_S[camera] for camera in cameras)
+    return TimeOffsets(name, tuple(cameras), starts, (0.0,) * len(starts), (1.0,) * len(starts), ("manual",) * len(starts))
+
+
+def _recorded(scene, folder, name, cameras, slots, tattoo):
+    """Recordings of a jaw that moves, with their start times."""
+    recordings = []
+    for camera in cameras:
+        moments = [(slot, START_S[camera] + slot / RATE_HZ) for slot in slots]
+        frames = ((slot, scene.picture(camera, tattoo, jaw=_jaw(moment))[..., ::-1]) for slot, moment in moments)
+        write_video(folder / f"{name}_{camera}.mp4", frames, (240, 240), RATE_HZ, crf=8)
+        recordings.append(probe(folder / f"{name}_{camera}.mp4", camera))
+    return IngestedTake(name, "lips", tuple(recordings)), _offsets(cameras, name)
+
+
+def _tracked(scene, folder, name, time_s):
+    save_chunk(folder / f"{name}.npy", np.stack([scene.mesh(jaw=_jaw(moment)) for moment in time_s]))
+    return MeshSequence(name, np.asarray(time_s), (folder / f"{name}.npy",))
+
+
+MOMENTS_S = START_S["right"] + np.arange(1, 6) / RATE_HZ
+
+
+@pytest.fixture(scope="module")
+def takes(scene, tmp_path_factory):
+    """A bare take of all cameras and a tattooed one, of which the front camera lost a frame."""
+    folder = tmp_path_factory.mktemp("takes")
+    bare = TrackedTake(*_recorded(scene, folder, "bare", scene.rig.names, range(3), False), None)
+    tattooed = TrackedTake(*_recorded(scene, folder, "lips", ("front",), (0, 1, 2, 3, 5, 6, 7), True), None)
+    return (
+        replace(bare, sequence=_tracked(scene, folder, "bare", START_S["right"] + np.arange(2) / RATE_HZ)),
+        replace(tattooed, sequence=_tracked(scene, folder, "lips", MOMENTS_S)),
+    )
+
+
+@pytest.fixture(scope="module")
+def painted(scene, template, takes, tmp_path_factory):
+    """The tattooed take with bare lips, and its figures."""
+    folder = tmp_path_factory.mktemp("painted")
+    bare = bare_lips(template, scene.rig, takes[0], "front", SETTINGS)
+    return inpaint_take(bare.texture, scene.rig["front"], takes[1], folder / "lips.mp4", folder / "lips.png")
+
+
+def test_a_painted_recording_keeps_the_frames_of_the_tracked_time_and_their_times(painted, takes):
+    recorded, figures = painted
+    (recording,), raw = recorded.recordings, takes[1].recorded["front"]
+    # slot 1 comes 7 ms before the head is tracked, slot 4 is lost, slot 6 comes after it
+    assert recording.rotation_deg == 0
+    assert recording.frame_times_s == tuple(raw.frame_times_s[k] for k in (2, 3, 4))
+    assert figures["lips.inpainted_frames"] == 3
+    again = probe(recording.path, "front")
+    np.testing.assert_allclose(again.frame_times_s, recording.frame_times_s, atol=0.5 / 512 / RATE_HZ)
+    assert (again.width, again.height) == (raw.width, raw.height)
+
+
+def test_a_painted_take_shows_the_bare_lips_of_its_own_moments(scene, painted, takes):
+    (recording,), raw = painted[0].recordings, takes[1].recorded["front"]
+    with VideoFrames(recording.path) as video, VideoFrames(raw.path) as tattooed:
+        for k, (slot, number) in enumerate(((2, 2), (3, 3), (5, 4))):
+            bare = scene.picture("front", False, jaw=_jaw(START_S["front"] + slot / RATE_HZ)).astype(float)
+            ink = np.abs(tattooed[number] - bare).max(axis=2) > 14
+            left, before = (np.sqrt(((picture - bare)[ink] ** 2).mean()) for picture in (video[k], tattooed[number]))
+            # as in single frames without a codec
+            assert left < 0.2 * before
+
+
+def test_the_base_tracker_reads_a_painted_take_as_any_other(scene, painted, takes):
+    timeline = TakeTimeline("lips", "right", np.arange(1, 6), MOMENTS_S)
+    clip = rig_clip(scene.rig["front"], painted[0], takes[1].offsets, timeline)
+    # between its first and last frame
+    np.testing.assert_array_equal(clip.time_s, MOMENTS_S[1:4])
+    assert [picture.shape for picture in clip.pictures()] == [(240, 240, 3)] * 3
+
+
+def test_meshes_between_frames_follow_a_cubic(tmp_path, rng):
+    time_s = np.array([0.0, 0.03, 0.07, 0.1, 0.17])
+    terms = rng.normal(size=(4, 6, 3))
+
+    def at(moment):
+        return np.tensordot(np.asarray(moment) ** np.arange(4), terms, 1)
+
+    save_chunk(tmp_path / "all.npy", np.stack([at(moment) for moment in time_s]))
+    motion = MeshMotion(MeshSequence("take", time_s, (tmp_path / "all.npy",)), 6)
+    for moment in (0.0, 0.01, 0.05, 0.1, 0.16, 0.17):
+        # what float32 keeps of numbers of about one
+        np.testing.assert_allclose(motion.at(moment), at(moment), atol=2e-6)
+    save_chunk(tmp_path / "two.npy", np.stack([at(0.0), at(0.1)]))
+    two = MeshMotion(MeshSequence("take", np.array([0.0, 0.1]), (tmp_path / "two.npy",)), 6)
+    np.testing.assert_allclose(two.at(0.025), 0.75 * at(0.0) + 0.25 * at(0.1), atol=2e-6)
+
+
+def test_frames_of_the_figure_are_those_that_differ_most(scene, texture):
+    states = [{"jaw": 0.12}, {"jaw": 0.9}, {"jaw": 0.13}, {"rounding": 1.0}, {"jaw": 0.88}]
+    meshes = [scene.mesh(**state) for state in states]
+    assert most_unlike(lambda: iter(meshes), scene.mesh(), texture.region, 2) == [1, 3]
+    # no frame is shown twice
+    assert most_unlike(lambda: iter(meshes[:1] * 2), meshes[1], texture.region, 3) == [0]
+
+
+def test_takes_that_cannot_be_painted_are_told(scene, template, texture, takes, tmp_path):
+    bare, tattooed = takes
+    alone = replace(bare, recorded=IngestedTake("bare", "lips", (bare.recorded["left"],)))
+    with pytest.raises(InputError, match="front has no picture of bare"):
+        bare_lips(template, scene.rig, alone, "front", SETTINGS)
+    late = replace(tattooed, sequence=replace(tattooed.sequence, time_s=tattooed.sequence.time_s + 5))
+    with pytest.raises(InputError, match="front has 0 frames of lips while the head was tracked"):
+        inpaint_take(texture, scene.rig["front"], late, tmp_path / "out.mp4", tmp_path / "out.png")
+    odd = replace(scene.rig["front"], width=239)
+    with pytest.raises(InputError, match="239x240"):
+        inpaint_take(texture, odd, tattooed, tmp_path / "out.mp4", tmp_path / "out.png")
+    assert not list(tmp_path.iterdir())

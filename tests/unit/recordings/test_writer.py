@@ -26,6 +26,13 @@ def test_frames_come_back_at_their_moments(pictures, tmp_path):
             assert np.abs(video[k][..., ::-1].astype(float) - picture).mean() < 3
 
 
+def test_frames_off_the_grid_keep_their_moments(pictures, tmp_path):
+    path = tmp_path / "out.mp4"
+    write_video(path, zip((3.25, 4.5, 6.0), pictures, strict=True), (96, 64), 25.0)
+    with VideoFrames(path) as video:
+        np.testing.assert_allclose(video.times_s, [0.13, 0.18, 0.24], atol=1e-6)
+
+
 def test_sound_is_kept_and_silence_needs_none(pictures, tmp_path, rng):
     sound = (0.3 * np.sin(2 * np.pi * 440 * np.arange(24_000) / 48_000)).astype(np.float32)
     write_video(tmp_path / "heard.mp4", enumerate(pictures), (96, 64), 25.0, sound=sound)

@@ -132,3 +132,31 @@ def test_videos_without_a_camera_are_told():
 
 def test_a_lip_camera_that_the_session_has_not_is_told():
     assert "lip_camera: no camera is called left" in told({"session": "solo", "rehearse": {"takes": TAKES}, "lip_camera": "left"})
+
+
+def tattooed(*takes: dict, **changes) -> dict:
+    return {"session": "solo", "rehearse": {"takes": list(takes)}} | changes
+
+
+def test_tattooed_lips_are_painted_over_with_those_of_another_take():
+    kiss, nod, talk = {"name": "kiss", "kind": "lips"}, *TAKES
+    plan = load_plan(tattooed(kiss, nod, talk))
+    assert plan.inpainted == (("solo", "kiss"),)
+    # a mouth that speaks opens
+    assert plan.sessions["solo"].bare_take == "talk"
+    assert load_plan(tattooed(kiss, nod, talk, untattooed_take="nod")).sessions["solo"].bare_take == "nod"
+    assert load_plan(tattooed(kiss | {"lip_tattoo": False}, talk | {"lip_tattoo": True})).inpainted == (("solo", "talk"),)
+    files = {"files": "{camera}.mp4"}
+    said = load_plan(tattooed(kiss, talk, takes=[kiss | files, talk | files | {"lip_tattoo": True}, nod | files]))
+    assert said.inpainted == (("solo", "kiss"), ("solo", "talk"))
+    # nobody who trains performs lips
+    assert load_plan(tattooed(talk | {"lip_tattoo": True})).inpainted == ()
+
+
+def test_tattooed_lips_that_no_take_shows_bare_are_told_before_any_job():
+    kiss, talk = {"name": "kiss", "kind": "lips"}, TAKES[1] | {"lip_tattoo": True}
+    message = "solo: the lips are tattooed in kiss, talk, and no take shows them without"
+    assert message in told(tattooed(kiss, talk))
+    assert message in told(changed(sessions=[tattooed(kiss, talk)]))
+    assert "untattooed_take: no take is called nod" in told(tattooed(kiss, talk, untattooed_take="nod"))
+    assert "untattooed_take: the lips are tattooed in kiss" in told(tattooed(kiss, TAKES[1], untattooed_take="kiss"))
