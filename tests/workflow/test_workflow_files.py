@@ -26,7 +26,8 @@ def test_demo_is_planned_by_snakemake_alone(tmp_path: Path) -> None:
     (tmp_path / "config").symlink_to(REPOSITORY / "config")
     result = snakemake(tmp_path, "--dry-run")
     assert result.returncode == 0, result.stdout + result.stderr
-    for rule in ("rehearse", "ingest", "sync_board", "detect", "calibrate", "sync", "register", "evaluate", "report"):
+    rules = ("rehearse", "ingest", "sync_board", "detect", "calibrate", "sync", "register", "inpaint_lips", "evaluate", "report")
+    for rule in rules:
         assert f"rule {rule}:" in result.stdout or f"checkpoint {rule}:" in result.stdout
 
 

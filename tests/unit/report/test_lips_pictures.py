@@ -1,14 +1,17 @@
 """Pictures of lips: what is wrong shows, what has no answer stays empty, and the video holds every frame."""
 
 import av
+import cv2
 import numpy as np
 import pytest
 
 from headcap.errors import InputError
 from headcap.evaluation.lip_errors import LipErrors
 from headcap.evaluation.lips_study import LipStudy
+from headcap.evaluation.metrics import save_metrics
 from headcap.heads import base_head
 from headcap.lips.mouth import find_mouth
+from headcap.report.lips import LipFiles, write_lips_report
 from headcap.report.lips_figures import error_bars, gap_curves, input_bars, roll_curves
 from headcap.report.lips_pictures import comparison, error_maps, side_by_side_frames, telling_frames, write_side_by_side
 from headcap.report.overlays import virtual_camera
@@ -120,3 +123,21 @@ def test_a_video_needs_pictures(tmp_path):
     with pytest.raises(InputError, match="without pictures"):
         write_side_by_side(tmp_path / "none.mp4", [], 25.0)
     assert not (tmp_path / "none.mp4").exists()
+
+
+@pytest.mark.parametrize("painted", [(), ("anna/inpaint_lips/smile.png",)])
+def test_the_page_shows_what_was_painted_over_where_lips_were_tattooed(errors, tmp_path, painted):
+    LipStudy.of("lips", [errors]).save(tmp_path / "tables.json")
+    save_metrics(tmp_path / "figures.json", [])
+    pictures = [tmp_path / "base/smile.png", *(tmp_path / name for name in painted)]
+    for path in pictures:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), np.full((20, 30, 3), 90, np.uint8))
+    sheet, *inpainted = pictures
+    files = LipFiles(
+        tmp_path / "tables.json", tmp_path / "figures.json", (sheet,), (sheet,), (sheet,), tuple(inpainted), (sheet,)
+    )
+    write_lips_report(files, {"anna": "held out"}, {}, tmp_path / "lips.html")
+    page = (tmp_path / "lips.html").read_text()
+    assert ("Figure 5: anna, smile" in page) == ("Tattoos painted over" in page) == bool(painted)
+    assert set(inpainted) <= set(files.all)
