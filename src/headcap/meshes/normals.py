@@ -16,8 +16,8 @@ def vertex_normals(vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]
     """Unit vertex normals (n, 3), area-weighted; zero where a vertex has no triangle."""
     sums = np.zeros((len(vertices), 3))
     _sum_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(triangles, np.int32), sums)
-    length = np.sqrt((sums**2).sum(1, keepdims=True))
-    return sums / np.where(length > 0, length, 1.0)
+    _normalise(sums)
+    return sums
 
 
 @njit(cache=True)
@@ -31,7 +31,8 @@ def _normals(vertices, triangles, normals):
 
 @njit(cache=True)
 def _sum_normals(vertices, triangles, sums):
-    for a, b, c in triangles:
+    for f in range(len(triangles)):
+        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
         ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
         vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -39,3 +40,12 @@ def _sum_normals(vertices, triangles, sums):
             sums[corner, 0] += nx
             sums[corner, 1] += ny
             sums[corner, 2] += nz
+
+
+@njit(cache=True)
+def _normalise(sums):
+    for v in range(len(sums)):
+        length = np.sqrt(sums[v, 0] * sums[v, 0] + sums[v, 1] * sums[v, 1] + sums[v, 2] * sums[v, 2])
+        if length > 0:
+            for axis in range(3):
+                sums[v, axis] /= length

@@ -13,6 +13,7 @@ from headcap.synthetic.settings import LightSettings
 
 _MAP_CELLS = 192
 _MAP_EXTENT_M = 0.46
+_LIFT_M = 0.004
 # exponential shadow maps (Annen et al. 2008): light dies away over 1 / sharpness behind an occluder
 _SHARPNESS_PER_M = 170.0
 
@@ -77,18 +78,34 @@ def visibility(vertices_m: NDArray, normals: NDArray, occluder: NDArray, directi
     right = np.cross(helper, direction)
     right /= np.linalg.norm(right)
     frame = np.stack([right, np.cross(direction, right), direction])
-    centre = 0.5 * (vertices_m.min(0) + vertices_m.max(0))
-    # a vertex is tested a little outside its surface, lest the surface shade itself
     cell = _MAP_EXTENT_M / _MAP_CELLS
-    cells = (vertices_m - centre) @ frame.T
-    cells[:, :2] = cells[:, :2] / cell + _MAP_CELLS / 2
-    lifted = (0.004 * normals) @ frame.T
+    cells, tested = np.empty(vertices_m.shape), np.empty(vertices_m.shape)
+    _to_cells(np.asarray(vertices_m, float), np.asarray(normals, float), frame, cell, cells, tested)
     depth = np.full((_MAP_CELLS, _MAP_CELLS), -_MAP_EXTENT_M, np.float32)
     _fill_nearest(cells, occluder, depth)
     sigma = max(blur_m / cell, 0.8)
     exponential = cv2.GaussianBlur(np.exp(np.float32(_SHARPNESS_PER_M) * depth), (0, 0), sigma)
-    tested = cells + lifted * np.array([1 / cell, 1 / cell, 1.0])
     return _look_up(exponential, tested)
+
+
+@njit(cache=True)
+def _to_cells(vertices, normals, frame, cell, cells, tested):
+    """Column and row on the map and metres towards the light, of vertices and of what is tested in their place."""
+    centre = np.empty(3)
+    for axis in range(3):
+        low = high = vertices[0, axis]
+        for k in range(len(vertices)):
+            low, high = min(low, vertices[k, axis]), max(high, vertices[k, axis])
+        centre[axis] = 0.5 * (low + high)
+    for k in range(len(vertices)):
+        x, y, z = vertices[k, 0] - centre[0], vertices[k, 1] - centre[1], vertices[k, 2] - centre[2]
+        # a vertex is tested a little outside its surface, lest the surface shade itself
+        u, v, w = _LIFT_M * normals[k, 0], _LIFT_M * normals[k, 1], _LIFT_M * normals[k, 2]
+        for axis in range(3):
+            place = x * frame[axis, 0] + y * frame[axis, 1] + z * frame[axis, 2]
+            lift = u * frame[axis, 0] + v * frame[axis, 1] + w * frame[axis, 2]
+            cells[k, axis] = place / cell + _MAP_CELLS / 2 if axis < 2 else place
+            tested[k, axis] = cells[k, axis] + (lift * (1 / cell) if axis < 2 else lift)
 
 
 @njit(cache=True, error_model="numpy")

@@ -93,33 +93,58 @@ def _project(points, rotation, translation, matrix, distortion, out):
 
 @njit(cache=True, error_model="numpy")
 def _rasterise(corners, triangles, rest_area_mm2, nearest, inverse_depth, footprint):
-    height, width = nearest.shape
+    """The nearest triangle of each sample; `footprint` is told for triangles that are seen.
+
+    Backs come last: nearly all of them are then found hidden at once, by the depth that is there already.
+    """
+    backs, count = np.empty(len(triangles), np.int32), 0
     for f in range(len(triangles)):
-        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-        ax, ay, bx, by, cx, cy = corners[a, 0], corners[a, 1], corners[b, 0], corners[b, 1], corners[c, 0], corners[c, 1]
-        x0, x1 = max(0, int(np.ceil(min(ax, bx, cx)))), min(width - 1, int(np.floor(max(ax, bx, cx))))
-        y0, y1 = max(0, int(np.ceil(min(ay, by, cy)))), min(height - 1, int(np.floor(max(ay, by, cy))))
-        if x0 > x1 or y0 > y1:
-            continue
-        wa, wb, wc = corners[a, 2], corners[b, 2], corners[c, 2]
         # rows grow downwards: a triangle seen from outside has negative area
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0.0 or wa == 0.0 or wb == 0.0 or wc == 0.0:
-            continue
+        if _doubled_area(corners, triangles[f, 0], triangles[f, 1], triangles[f, 2]) < 0.0:
+            _fill(f, corners, triangles, rest_area_mm2, nearest, inverse_depth, footprint)
+        else:
+            backs[count] = f
+            count += 1
+    for k in range(count):
+        _fill(backs[k], corners, triangles, rest_area_mm2, nearest, inverse_depth, footprint)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _doubled_area(corners, a, b, c):
+    ax, ay = corners[a, 0], corners[a, 1]
+    return (corners[b, 0] - ax) * (corners[c, 1] - ay) - (corners[b, 1] - ay) * (corners[c, 0] - ax)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _fill(f, corners, triangles, rest_area_mm2, nearest, inverse_depth, footprint):
+    height, width = nearest.shape
+    a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+    ax, ay, bx, by, cx, cy = corners[a, 0], corners[a, 1], corners[b, 0], corners[b, 1], corners[c, 0], corners[c, 1]
+    wa, wb, wc = corners[a, 2], corners[b, 2], corners[c, 2]
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    x0, x1 = max(0, int(np.ceil(min(ax, bx, cx)))), min(width - 1, int(np.floor(max(ax, bx, cx))))
+    y0, y1 = max(0, int(np.ceil(min(ay, by, cy)))), min(height - 1, int(np.floor(max(ay, by, cy))))
+    if x0 > x1 or y0 > y1 or area == 0.0 or wa == 0.0 or wb == 0.0 or wc == 0.0:
+        return
+    # rounding may carry a sample's depth over that of the nearest corner, by far less than this
+    most, scale, seen = max(wa, wb, wc) * (1.0 + 1e-9), 1.0 / area, False
+    for y in range(y0, y1 + 1):
+        for x in range(x0, x1 + 1):
+            if inverse_depth[y, x] >= most:
+                continue
+            u = ((bx - x) * (cy - y) - (by - y) * (cx - x)) * scale
+            v = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) * scale
+            w = 1.0 - u - v
+            if min(u, v, w) < 0.0:
+                continue
+            closer = u * wa + v * wb + w * wc
+            if closer > inverse_depth[y, x]:
+                inverse_depth[y, x] = closer
+                nearest[y, x] = f
+                seen = True
+    if seen:
         # millimetres of resting skin between samples; its sign tells the side that is seen
         footprint[f] = np.sqrt(2 * rest_area_mm2[f] / abs(area)) * (1.0 if area < 0 else -1.0)
-        scale = 1.0 / area
-        for y in range(y0, y1 + 1):
-            for x in range(x0, x1 + 1):
-                u = ((bx - x) * (cy - y) - (by - y) * (cx - x)) * scale
-                v = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) * scale
-                w = 1.0 - u - v
-                if u < 0.0 or v < 0.0 or w < 0.0:
-                    continue
-                closer = u * wa + v * wb + w * wc
-                if closer > inverse_depth[y, x]:
-                    inverse_depth[y, x] = closer
-                    nearest[y, x] = f
 
 
 @njit(cache=True, fastmath=True, error_model="numpy")

@@ -66,13 +66,15 @@ def _expose(linear, gains, read_noise, shot_noise, tile, shift, encoding, out):
     size, levels = tile.shape[0], len(encoding)
     read, shot = np.float32(read_noise * read_noise), np.float32(shot_noise * shot_noise)
     for y in range(height):
+        noise = tile[(y + shift[0]) % size]
+        i = shift[1] % size
         for x in range(width):
-            j, i = (y + shift[0]) % size, (x + shift[1]) % size
             for channel in range(3):
                 value = linear[y, x, channel] * gains[channel]
-                value += np.sqrt(read + shot * max(value, np.float32(0))) * tile[j, i, channel]
+                value += np.sqrt(read + shot * max(value, np.float32(0))) * noise[i, channel]
                 level = int(value * levels)
                 out[y, x, channel] = encoding[min(max(level, 0), levels - 1)]
+            i = i + 1 if i + 1 < size else 0
 
 
 def encode(linear: NDArray) -> NDArray[np.uint8]:
