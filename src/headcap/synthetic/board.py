@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -94,23 +94,26 @@ def _facing(back: NDArray) -> NDArray[np.float64]:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
+@lru_cache(maxsize=1)
+def _pattern(settings: BoardSettings) -> NDArray[np.float32]:
+    """Linear reflectance of the printed board with its margin, area-averaged texels; read-only."""
+    squares, texels = np.array(settings.squares), 4 * _TEXELS_PER_SQUARE
+    drawn = charuco(settings).generateImage((squares * texels).tolist())
+    margin = round(settings.margin_mm / settings.square_size_mm * texels / 4) * 4
+    drawn = cv2.copyMakeBorder(drawn, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255)
+    size = (drawn.shape[1] // 4, drawn.shape[0] // 4)
+    share = cv2.resize(drawn.astype(np.float32) / 255, size, interpolation=cv2.INTER_AREA)
+    share = 1 - share if settings.inverted else share
+    pattern = (_BLACK + (_WHITE - _BLACK) * share).astype(np.float32)
+    pattern.setflags(write=False)
+    return pattern
+
+
 class BoardPainter:
     """Pictures of the board in one camera; keeps the rays of the camera's samples."""
 
     def __init__(self, camera: Camera, settings: BoardSettings) -> None:
         self.camera, self.settings = camera, settings
-
-    @cached_property
-    def _pattern(self) -> NDArray[np.float32]:
-        """Linear reflectance of the printed board with its margin, area-averaged texels."""
-        squares, texels = np.array(self.settings.squares), 4 * _TEXELS_PER_SQUARE
-        drawn = charuco(self.settings).generateImage((squares * texels).tolist())
-        margin = round(self.settings.margin_mm / self.settings.square_size_mm * texels / 4) * 4
-        drawn = cv2.copyMakeBorder(drawn, margin, margin, margin, margin, cv2.BORDER_CONSTANT, value=255)
-        size = (drawn.shape[1] // 4, drawn.shape[0] // 4)
-        share = cv2.resize(drawn.astype(np.float32) / 255, size, interpolation=cv2.INTER_AREA)
-        share = 1 - share if self.settings.inverted else share
-        return (_BLACK + (_WHITE - _BLACK) * share).astype(np.float32)
 
     @cached_property
     def _rays(self) -> NDArray[np.float32]:
@@ -142,10 +145,11 @@ class BoardPainter:
         cosine = float(-world_from_board[:3, 2] @ light) * (1 if facing else -1)
         shade = 0.35 + 0.65 * max(cosine, 0.05)
         texel_m = self.settings.square_size_mm / 1000 / _TEXELS_PER_SQUARE
-        margin = (self._pattern.shape[1] - self.settings.squares[0] * _TEXELS_PER_SQUARE) / 2
+        pattern = _pattern(self.settings)
+        margin = (pattern.shape[1] - self.settings.squares[0] * _TEXELS_PER_SQUARE) / 2
         box = self._box(world_from_board, margin * texel_m, first, last)
         if box is not None:
-            _paint(self._rays, plane, self._pattern, 1 / texel_m, margin, shade, facing, first, np.array(box), picture)
+            _paint(self._rays, plane, pattern, 1 / texel_m, margin, shade, facing, first, np.array(box), picture)
         return picture
 
     def _box(self, world_from_board: NDArray, margin_m: float, first: int, last: int) -> tuple[int, int, int, int] | None:

@@ -209,11 +209,16 @@ def _board_frames(rehearsal: Rehearsal, c: int) -> Iterator[tuple[int, NDArray[n
     waved: BoardMotion = wave_board(settings, rehearsal.rig)
     painter, studio = BoardPainter(rehearsal.rig[c], settings.board), _studio(settings)
     light = studio.lights.directions[:1].sum(0)
+    shown, parts = np.empty(0), []
     for slot, time in _frame_times(rehearsal, CALIBRATION, c):
-        parts = [
-            painter.paint(waved.world_from_board(time + later), studio.background[a:b], light, (a, b))
-            for (a, b), later in studio.bands
-        ]
+        poses = np.array([waved.world_from_board(time + later) for _, later in studio.bands])
+        # most of the time the board rests, and looks as it did before
+        if not np.array_equal(poses, shown):
+            bands = [rows for rows, _ in studio.bands]
+            parts = [
+                painter.paint(pose, studio.background[a:b], light, (a, b)) for pose, (a, b) in zip(poses, bands, strict=True)
+            ]
+            shown = poses
         yield slot, np.concatenate(parts)
 
 
