@@ -1,7 +1,8 @@
 """One take's lips against truth: the base tracker's, and those of any number of corrections (lip paper, section 6).
 
-All meshes are compared in a canonical frame, rigid motion removed by the skin above the mouth that holds still, and at the
-base's size, which one camera cannot tell; errors are then given in the true person's millimetres.
+The two neutral faces are laid on each other once per take, at the base's size, which one camera cannot tell; then all meshes are
+compared in a canonical frame, rigid motion removed by the skin above the mouth that holds still. Errors are given in the true
+person's millimetres.
 """
 
 from __future__ import annotations

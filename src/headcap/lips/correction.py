@@ -59,7 +59,7 @@ def canonical_meshes(meshes: NDArray, neutral: NDArray, steady: NDArray) -> Cano
 
 @dataclass(frozen=True, eq=False)
 class TrueNeutral:
-    """A person's true neutral head H_0, and where on it lies what holds still of the base tracker's C_0 (section 4.1).
+    """A person's true neutral head H_0, and where on it lies the skin of the base tracker's C_0 (section 4.1).
 
     Two reconstructions of one person need not put a forehead's vertex at the same place of the skin, even in one topology: where
     the skin shows nothing a tracker leaves it to its model. What is compared must not be turned and shifted by that.
@@ -67,16 +67,22 @@ class TrueNeutral:
 
     vertices: NDArray[np.float64]
     """(n, 3) metres, any frame."""
-    steady: NDArray[np.float64]
-    """(s, 3) places on its surface of the vertices `Mouth.steady` of C_0."""
+    skin: NDArray[np.int64]
+    """(k,) vertices of C_0 by which the two are laid on each other."""
+    places: NDArray[np.float64]
+    """(k, 3) where they lie on H_0."""
 
     @classmethod
     def of(cls, given: NDArray | TrueNeutral, steady: NDArray) -> TrueNeutral:
-        """Of vertices (n, 3) whose numbers mean the same places as C_0's do."""
+        """Of vertices (n, 3) whose numbers mean the same places as C_0's do, laid on it by those that hold still."""
         if isinstance(given, TrueNeutral):
             return given
         vertices = np.asarray(given, np.float64)
-        return cls(vertices, vertices[steady])
+        return cls(vertices, np.asarray(steady), vertices[steady])
+
+    def placement(self, base_neutral: NDArray) -> tuple[NDArray[np.float64], float]:
+        """The similarity, rigid part (4, 4) and scale, that brings H_0 onto C_0 (n, 3)."""
+        return fit_similarity(self.places, base_neutral[self.skin])
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,8 +215,8 @@ class _TrueMotion:
             self.corners = correspondence.rig_triangles[correspondence.of_triangle[layer.mouth.layer]]
             vertices = np.asarray(truth_neutral, np.float64)
             registered = correspondence.carry(vertices)
-            true = TrueNeutral(vertices, registered[steady])
-        placement, self.unit = _placement(true, layer.base_neutral, steady)
+            true = TrueNeutral(vertices, steady, registered[steady])
+        placement, self.unit = true.placement(layer.base_neutral)
         self.anchor = transform(placement, self.unit * true.vertices)
         placed = transform(placement, self.unit * registered)
         self.steady = placed[steady]
@@ -266,10 +272,10 @@ class _Patch:
 def canonical_truth(
     truth_neutral: NDArray | TrueNeutral, base_neutral: NDArray, steady: NDArray
 ) -> tuple[NDArray[np.float64], float]:
-    """H_0 (n, 3) brought onto C_0 (n, 3) by a similarity on `steady` (s,), and its scale."""
+    """H_0 (n, 3) brought onto C_0 (n, 3) by a similarity, and its scale; vertices alone by those of them that hold still (s,)."""
     true = TrueNeutral.of(truth_neutral, steady)
     _check_meshes(true.vertices[None], base_neutral)
-    placement, scale = _placement(true, base_neutral, steady)
+    placement, scale = true.placement(base_neutral)
     return transform(placement, scale * true.vertices), scale
 
 
@@ -281,11 +287,6 @@ def triangle_frames(vertices: NDArray, corners: NDArray) -> NDArray[np.float64]:
 
 
 _NO_PLACES = np.zeros((0, 4, 4))
-
-
-def _placement(true: TrueNeutral, base_neutral: NDArray, steady: NDArray) -> tuple[NDArray[np.float64], float]:
-    """The similarity, rigid part (4, 4) and scale, that brings a true neutral head onto a base tracker's."""
-    return fit_similarity(true.steady, base_neutral[steady])
 
 
 def _robust_rigid(points: NDArray, neutral: NDArray) -> NDArray[np.float64]:

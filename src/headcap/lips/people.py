@@ -108,9 +108,10 @@ class _Placing:
         """The true head as `base_neutral` (n, 3) lies on it."""
         key = base_neutral.tobytes()
         if key not in self._found:
-            steady = self.space.mouth.steady
-            registered = correspond(self._face(base_neutral), self._face(self.neutral)).registered
-            self._found[key] = TrueNeutral(self.neutral, registered[steady])
+            found = correspond(self._face(base_neutral), self._face(self.neutral))
+            # neutral faces make none: all of their skin says how they lie on each other, not the part alone that holds still
+            skin = np.flatnonzero(found.matched)
+            self._found[key] = TrueNeutral(self.neutral, skin, found.registered[skin])
         return self._found[key]
 
     def _face(self, vertices: NDArray[np.float64]) -> NeutralFace:

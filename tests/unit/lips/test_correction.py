@@ -115,7 +115,7 @@ def test_a_forehead_whose_vertices_slid_turns_nothing_where_it_is_known_where_th
     slid[mouth.steady[::2]] += [0.0, 3e-3, 1e-3]
     layer = CorrectionLayer(mouth, neutral)
     expected = layer.parameters(base, neutral, neutral + motion)
-    told = TrueNeutral(slid, neutral[mouth.steady])
+    told = TrueNeutral(slid, mouth.steady, neutral[mouth.steady])
     anchor, scale = canonical_truth(told, neutral, mouth.steady)
     np.testing.assert_allclose(anchor, slid, atol=1e-12)
     assert scale == pytest.approx(1.0, abs=1e-12)
