@@ -64,12 +64,23 @@ def _parser() -> argparse.ArgumentParser:
     _add_neck_commands(add)
 
     lips = add("lips", _lips, "The face in a single video, tracked, with its lips corrected by what a rig has taught.")
-    lips.add_argument("video", type=Path, help="any video of one face, seen from the front where it begins")
+    lips.add_argument(
+        "videos", type=Path, nargs="+", metavar="video", help="any video of one face, seen from the front where it begins"
+    )
     lips.add_argument("--regressor", type=Path, required=True, help="lips.npz of a study")
     lips.add_argument("--camera", type=Path, help="rig.json of the camera that took it (default: focal length estimated)")
     lips.add_argument("--camera-name", help="which of the rig's cameras")
     lips.add_argument("--detections", type=Path, help="68, 468 or 478 landmarks by frame, JSON or CSV, of any detector")
-    lips.add_argument("--out", type=Path, required=True, help="folder to write")
+    lips.add_argument(
+        "--align",
+        type=Path,
+        nargs="+",
+        help="what is said: lines `start end word` in seconds or 1/25000 s, named as the video where there are several "
+        "(default: the .align beside each video, where there is one)",
+    )
+    lips.add_argument(
+        "--out", type=Path, required=True, help="folder to write, lips.html in it; one in it for each of several videos"
+    )
 
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
     schema.add_argument("--folder", type=Path, default=Path("config/schema"))
@@ -232,13 +243,16 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _lips(options: argparse.Namespace) -> int:
-    from headcap.workflow.lips import LipRequest, correct_video
+    from headcap.workflow.lips import correct_videos, lip_requests
 
-    request = LipRequest(options.video, options.regressor, options.camera, options.camera_name, options.detections)
-    for line in correct_video(request, options.out):
+    given = (options.camera, options.camera_name, options.detections, options.align or ())
+    answer = correct_videos(lip_requests(options.videos, options.regressor, *given), options.out)
+    for line in answer.lines:
         print(line)
+    for name, why in answer.failures.items():
+        print(f"headcap: {name}: {why}", file=sys.stderr)
     print(f"wrote {options.out}")
-    return 0
+    return 1 if answer.failures else 0
 
 
 def _edit(options: argparse.Namespace) -> int:

@@ -140,6 +140,21 @@ CATALOGUE: dict[str, FigureKind] = {
     "lips.roll_error_deg": _stated("deg", "the same, corrected"),
     "lips.base_unanswered_frames": _stated("", "frames with truth in which the base tracker had lost the face"),
     "lips.unanswered_frames": _stated("", "frames with truth that were not corrected; they enter no mean"),
+    "lips.lost_frames": _stated("", "frames of a video in which the base tracker had lost the face"),
+    "lips.uncorrected_frames": _stated("", "frames of a video with a face whose lips were not corrected"),
+    "lips.photometric_residual": _stated(
+        "", "picture less rendering where they agree, rms per channel of linear intensity 0 to 1, median over frames"
+    ),
+    "lips.base_outer_contour_px": _stated("px", "the base tracker's outer lip contour to the one found in the picture, mean"),
+    "lips.outer_contour_px": _stated("px", "the same, corrected"),
+    "lips.base_inner_contour_px": _stated("px", "the base tracker's inner lip contour to the one found in the picture, mean"),
+    "lips.inner_contour_px": _stated("px", "the same, corrected"),
+    "lips.base_closures_shown_pct": _stated(
+        "%", "b, p and m at which the base tracker's lip gap has a shut minimum", at_least=True
+    ),
+    "lips.base_closures_by_chance_pct": _stated("%", "moments of the same speech that have one near"),
+    "lips.closures_shown_pct": _stated("%", "b, p and m at which the corrected lip gap has a shut minimum", at_least=True),
+    "lips.closures_by_chance_pct": _stated("%", "moments of the same speech that have one near"),
     "speech.phi_error": _stated("mm", "weights of the speech blendshapes from sound left out of training, mean length of error"),
     "speech.phi_error_of_mean": _stated("mm", "the same of predicting the mean of the frames trained on"),
     "speech.tau_error": _stated("mm2", "slide of the larynx from sound left out of training, mean squared error"),

@@ -120,11 +120,13 @@ def side_by_side_frames(
     for photograph, base, *meshes in zip(photographs, *sequences.values(), strict=True):
         picture = crop(photograph, box, view.size)
         drawn = draw_mesh(picture, view, np.asarray(base, float), triangles) if np.isfinite(base).all() else None
-        panels = [_panel(drawn if drawn is not None else picture, f"picture, {TOLD.get(first, first)}", drawn is not None)]
+        panels = [
+            captioned(drawn if drawn is not None else picture, f"picture, {TOLD.get(first, first)}", known=drawn is not None)
+        ]
         for name, mesh in zip(others, meshes, strict=True):
             known = bool(np.isfinite(mesh).all())
             image = plain(view, mesh, triangles) if known else np.full_like(picture, PAPER[0])
-            panels.append(_panel(image, TOLD.get(name, name), known))
+            panels.append(captioned(image, TOLD.get(name, name), known=known))
         yield side_by_side(panels)
 
 
@@ -135,14 +137,21 @@ def write_clip_side_by_side(
 
     `sequences` as in `side_by_side_frames`. Raises `InputError` where no frame of the first has an answer.
     """
-    base = next(iter(sequences.values()))
-    answered = np.flatnonzero(np.isfinite(base).all(axis=(1, 2)))
-    if not len(answered):
-        raise InputError("a clip without an answer", expected="one tracked frame at least", remedy="Look at the track.")
-    about = base[answered[:: max(1, len(answered) // _SPREAD_FRAMES)]][:, mouth].reshape(-1, 3)
+    about = mouth_places(next(iter(sequences.values())), mouth)
     photographs = (np.ascontiguousarray(picture[..., ::-1]) for picture in clip.pictures())
     rate_hz = float(1 / np.median(np.diff(clip.time_s))) if len(clip) > 1 else _STILL_HZ
     write_side_by_side(path, side_by_side_frames(photographs, clip.camera, triangles, sequences, about), rate_hz)
+
+
+def mouth_places(meshes: NDArray, mouth: NDArray[np.int64]) -> NDArray:
+    """Points (p, 3) about which a clip's pictures are cut: vertices `mouth` of frames spread over meshes (f, n, 3).
+
+    Raises `InputError` where no frame has an answer.
+    """
+    answered = np.flatnonzero(np.isfinite(meshes).all(axis=(1, 2)))
+    if not len(answered):
+        raise InputError("a clip without an answer", expected="one tracked frame at least", remedy="Look at the track.")
+    return meshes[answered[:: max(1, len(answered) // _SPREAD_FRAMES)]][:, mouth].reshape(-1, 3)
 
 
 def write_side_by_side(path: Path | str, frames: Iterable[Image], rate_hz: float) -> None:
@@ -151,19 +160,19 @@ def write_side_by_side(path: Path | str, frames: Iterable[Image], rate_hz: float
     first = next(source, None)
     if first is None:
         raise InputError("a video without pictures", expected="one at least", remedy="Give frames to show.")
-    height, width = _even(first).shape[:2]
-    numbered = enumerate(_even(image) for image in itertools.chain([first], source))
+    height, width = even_sided(first).shape[:2]
+    numbered = enumerate(even_sided(image) for image in itertools.chain([first], source))
     write_video(path, numbered, (width, height), rate_hz, crf=_CRF)
 
 
-def _even(image: Image) -> Image:
+def even_sided(image: Image) -> Image:
     """With a white row or column more where a side is odd: the codec halves colours."""
     height, width = image.shape[:2]
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), constant_values=PAPER[0])
 
 
-def _panel(image: Image, told: str, known: bool) -> Image:
-    """An image under a line that says what it is."""
+def captioned(image: Image, told: str, *, known: bool) -> Image:
+    """An image under a line that says what it is, and where it is not `known` that there is no answer."""
     line = np.full((_LABEL_PX, image.shape[1], 3), PAPER, np.uint8)
     text = told if known else f"{told}: no answer"
     cv2.putText(line, text, (4, _LABEL_PX - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (29, 42, 48), 1, cv2.LINE_AA)

@@ -1,7 +1,8 @@
-"""`headcap lips`: one video in, a face with corrected lips out."""
+"""`headcap lips`: videos in, faces with corrected lips out, and a page that shows them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +10,11 @@ import numpy as np
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.result import load_camera
+from headcap.errors import InputError, InputErrors
+from headcap.evaluation.lip_clip import LipClip, judge_clip
+from headcap.evaluation.lip_clips import clip_figures
 from headcap.evaluation.lip_errors import BASE
+from headcap.evaluation.metrics import save_metrics
 from headcap.heads.procedural import base_head
 from headcap.lips.clips import Clip, video_clip
 from headcap.lips.kit import CorrectedClip, LipKit
@@ -18,7 +23,10 @@ from headcap.lips.monocular.stage import track_clip
 from headcap.recordings.video import VideoFrames
 from headcap.registration.sequence import MeshSequence, save_chunk
 from headcap.registration.template import Template
+from headcap.report.lip_clip import ClipFiles, write_clip_report
+from headcap.report.lip_clip_video import write_overlay
 from headcap.report.lips_pictures import write_clip_side_by_side
+from headcap.speech.words import Word, read_words
 
 
 @dataclass(frozen=True)
@@ -32,16 +40,88 @@ class LipRequest:
     camera_name: str | None = None
     detections: Path | None = None
     """Landmarks of a detector's, for the first frame or all."""
+    words: Path | None = None
+    """What was said and when, see `read_words`; without one a file beside the video, with .align for its ending, is taken."""
 
 
-def correct_video(request: LipRequest, folder: Path) -> list[str]:
+def lip_requests(
+    videos: Sequence[Path],
+    kit: Path,
+    camera: Path | None = None,
+    camera_name: str | None = None,
+    detections: Path | None = None,
+    words: Sequence[Path] = (),
+) -> list[LipRequest]:
+    """A request for each video; of several each takes the file of words that has its name.
+
+    Raises `InputError` for landmarks with several videos and for words of no video.
+    """
+    if detections is not None and len(videos) > 1:
+        raise InputError(
+            f"landmarks for {len(videos)} videos", expected="one video with --detections", remedy="Correct them one by one."
+        )
+    named = {path.stem: path for path in words}
+    unknown = sorted(set(named) - {video.stem for video in videos})
+    if (unknown and len(videos) > 1) or len(words) > len(videos):
+        raise InputError(
+            f"words of {', '.join(unknown) or 'more videos than there are'}",
+            expected=f"at most one file each, called as {', '.join(video.stem for video in videos)}",
+            remedy="Rename the files of --align.",
+        )
+    if len(videos) == 1 and words:
+        named = {videos[0].stem: words[0]}
+    return [LipRequest(video, kit, camera, camera_name, detections, named.get(video.stem)) for video in videos]
+
+
+@dataclass(frozen=True)
+class LipAnswer:
+    """What became of one or several videos."""
+
+    lines: list[str]
+    """What was answered and what was not, for a reader."""
+    failures: dict[str, str]
+    """By video, why there is no answer."""
+
+
+def correct_videos(requests: Sequence[LipRequest], folder: Path) -> LipAnswer:
+    """Correct videos with one kit and write a page, `lips.html`, and its figures, `metrics.json`.
+
+    One video's files go to the folder itself, see `correct_video`; those of several each to a folder in it, by the video's name.
+    Of several the others go on where one has no answer. Raises `InputError` as `correct_video` where there is one, and for
+    several of one name; `InputErrors` where none has an answer.
+    """
+    names = [request.video.stem for request in requests]
+    if len(set(names)) < len(names):
+        raise InputError(
+            f"videos called {', '.join(sorted(names))}", expected="names that differ", remedy="Correct these one by one."
+        )
+    kit = LipKit.load(requests[0].kit)
+    if len(requests) == 1:
+        lines = correct_video(requests[0], folder, kit)
+        _write_page([folder], requests, {}, folder)
+        return LipAnswer(lines, {})
+    lines, errors = [], {}
+    for name, request in zip(names, requests, strict=True):
+        try:
+            lines += [f"{name}: {line}" for line in correct_video(request, folder / name, kit)]
+        except InputError as error:
+            errors[name] = error
+    answered = [folder / name for name in names if name not in errors]
+    if not answered:
+        raise InputErrors(list(errors.values()))
+    failures = {name: str(error) for name, error in errors.items()}
+    _write_page(answered, requests, failures, folder)
+    return LipAnswer(lines, failures)
+
+
+def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) -> list[str]:
     """Track, correct and write a video's face to a folder; returns lines of what was answered and what was not.
 
     Writes `track.npz`, `camera.json`, `track.png`, `contours.npz`, `corrected.json` with `corrected.npy` and
-    `corrected.template.npz`, and `side_by_side.mp4`. Raises `InputError` as `video_clip`, `load_detections`, `track_video` and
-    `LipKit.correct`.
+    `corrected.template.npz`, `side_by_side.mp4`, `overlay.mp4` and `clip.npz`. Raises `InputError` as `video_clip`,
+    `load_detections`, `read_words`, `track_video` and `LipKit.correct`.
     """
-    kit, clip = LipKit.load(request.kit), _clip(request)
+    kit, clip, words = kit or LipKit.load(request.kit), _clip(request), _words(request)
     detections = load_detections(request.detections) if request.detections else None
     folder.mkdir(parents=True, exist_ok=True)
     track_path, camera_path = folder / "track.npz", folder / "camera.json"
@@ -54,7 +134,22 @@ def correct_video(request: LipRequest, folder: Path) -> list[str]:
     sequences = {BASE: corrected.take.base.world(corrected.take.base.meshes), "GR": corrected.meshes}
     mouth = corrected.take.space.mouth.vertices
     write_clip_side_by_side(folder / "side_by_side.mp4", seen, kit.head.triangles, sequences, mouth)
+    write_overlay(folder / "overlay.mp4", seen, corrected, request.video)
+    judge_clip(request.video.stem, kit.head, track, corrected, words).save(folder / "clip.npz")
     return _told(track, corrected)
+
+
+def _write_page(folders: Sequence[Path], requests: Sequence[LipRequest], failures: dict[str, str], folder: Path) -> None:
+    files = [ClipFiles(each / "clip.npz", each / "overlay.mp4", each / "corrected.json") for each in folders]
+    save_metrics(folder / "metrics.json", clip_figures([LipClip.load(each.clip) for each in files]))
+    settings = {"videos": [str(request.video) for request in requests], "regressor": str(requests[0].kit)}
+    write_clip_report(files, failures, settings, folder / "lips.html")
+
+
+def _words(request: LipRequest) -> tuple[Word, ...]:
+    beside = request.video.with_suffix(".align")
+    path = request.words or (beside if beside.exists() else None)
+    return read_words(path) if path else ()
 
 
 def _clip(request: LipRequest) -> Clip:
@@ -70,7 +165,7 @@ def _save_meshes(folder: Path, kit: LipKit, track: MonocularTrack, corrected: Co
     save_chunk(positions, corrected.meshes)
     MeshSequence(request.video.stem, track.time_s, (positions,)).save(sequence)
     _template(kit, corrected).save(folder / "corrected.template.npz")
-    given = (request.video, request.kit, request.camera, request.detections)
+    given = (request.video, request.kit, request.camera, request.detections, request.words)
     write_manifest(
         sequence,
         kind="mesh_sequence",

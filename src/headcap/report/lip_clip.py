@@ -1,0 +1,115 @@
+"""The page of single videos whose lips were corrected: overlay videos, residual, contours, lip gap, frames without an answer."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from headcap.artifacts import Manifest, manifest_path
+from headcap.evaluation.lip_clip import LipClip
+from headcap.evaluation.lip_clips import clip_figures, closure_totals
+from headcap.evaluation.lip_closures import WITHIN_S, ClosureTest
+from headcap.evaluation.metrics import Figure
+from headcap.report.lip_clip_figures import clip_curves, told_frames
+from headcap.report.page import Shown, drawing, write_page
+from headcap.report.provenance import versions
+
+
+@dataclass(frozen=True)
+class ClipFiles:
+    """What was written of one clip."""
+
+    clip: Path
+    """`LipClip`."""
+    overlay: Path
+    """mp4."""
+    sequence: Path
+    """The corrected meshes, with their manifest."""
+
+
+@dataclass(frozen=True)
+class ClosureRow:
+    """Lips shut by what was said, for a reader; gaps in mm, ranks as shares."""
+
+    word: str
+    sound: str
+    time_s: float
+    gaps: tuple[float, ...]
+    """Least gap near, by method."""
+    ranks: tuple[float, ...]
+    shown: tuple[bool, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ClipStory:
+    """One clip on the page."""
+
+    clip: LipClip
+    figures: Mapping[str, Figure]
+    curves: Shown
+    video: str
+    """Data URI."""
+    lost: str
+    found_again: str
+    uncorrected: str
+    closures: tuple[ClosureRow, ...]
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """What every page tells."""
+
+    figures: tuple[Figure, ...]
+    manifests: tuple[tuple[str, Manifest], ...]
+    versions: Mapping[str, str]
+    settings: Mapping
+
+
+def write_clip_report(files: Sequence[ClipFiles], failures: Mapping[str, str], settings: Mapping, path: Path | str) -> None:
+    """Write the page as one HTML file; `failures` says of each video without an answer why there is none."""
+    clips = [LipClip.load(each.clip) for each in files]
+    inputs = _Inputs(tuple(clip_figures(clips)), _manifests(files), versions(), settings)
+    write_page(
+        path,
+        "lip_clip.html.j2",
+        inputs,
+        stories=[_story(clip, each) for clip, each in zip(clips, files, strict=True)],
+        failures=dict(failures),
+        totals=closure_totals(clips),
+        within_ms=round(1e3 * WITHIN_S),
+    )
+
+
+def _story(clip: LipClip, files: ClipFiles) -> ClipStory:
+    return ClipStory(
+        clip,
+        {figure.name: figure for figure in clip_figures([clip])},
+        drawing(clip_curves(clip), "Dots: least gaps within 0.12 s; red: the face was lost; grey: lips not corrected"),
+        "data:video/mp4;base64," + base64.b64encode(files.overlay.read_bytes()).decode(),
+        told_frames(clip.lost),
+        told_frames(clip.found_again),
+        told_frames(clip.uncorrected),
+        _rows(clip, [clip.closure_test(method) for method in clip.methods]),
+    )
+
+
+def _rows(clip: LipClip, tests: Sequence[ClosureTest | None]) -> tuple[ClosureRow, ...]:
+    known = [test for test in tests if test is not None]
+    return tuple(
+        ClosureRow(
+            closure.word,
+            closure.sound,
+            closure.time_s,
+            tuple(float(test.least[k]) for test in known),
+            tuple(float(test.rank[k]) for test in known),
+            tuple(bool(test.shown[k]) for test in known),
+        )
+        for k, closure in enumerate(clip.closures)
+    )
+
+
+def _manifests(files: Sequence[ClipFiles]) -> tuple[tuple[str, Manifest], ...]:
+    made = [each.sequence for each in files if manifest_path(each.sequence).exists()]
+    return tuple((f"{path.parent.name}/{path.name}", Manifest.load(manifest_path(path))) for path in made)
