@@ -1,0 +1,91 @@
+"""The page of single videos: every clip with its video, what was answered and what was not, and closures beside chance."""
+
+import base64
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from headcap.evaluation.lip_clip import CORRECTED, LipClip
+from headcap.evaluation.lip_errors import BASE
+from headcap.lips.monocular import FrameState
+from headcap.report.lip_clip import ClipFiles, write_clip_report
+from headcap.report.lip_clip_figures import clip_curves, told_frames
+from headcap.speech.words import Word
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def clip() -> LipClip:
+    """Lips that shut for both closures once they are corrected; lost for a while, later without contours."""
+    time_s = np.arange(FRAMES) / 25
+    gap = np.stack([np.full(FRAMES, 3.0) + 0.2 * np.sin(9 * time_s), 6 + 2 * np.cos(2 * np.pi * 3 * time_s)])
+    for moment in (0.43, 1.03):
+        gap[1] -= (gap[1] - 0.2) * np.exp(-0.5 * ((time_s - moment) / 0.05) ** 2)
+    contours = np.stack([np.full((FRAMES, 2), 2.0), np.full((FRAMES, 2), 1.0)])
+    states = [FrameState.TRACKED] * FRAMES
+    states[40:43] = [FrameState.LOST] * 3
+    states[43] = FrameState.RESTARTED
+    gap[:, 40:43], contours[:, 40:43] = np.nan, np.nan
+    gap[1, 50], contours[:, 50] = np.nan, np.nan
+    residual = np.where(np.isfinite(gap[0]), 0.0123, np.nan)
+    words = (Word("bin", 0.4, 0.7), Word("red", 0.7, 1.0), Word("by", 1.0, 1.2), Word("<now>", 1.2, 1.5))
+    found = np.isfinite(contours[0, :, 0])
+    many = (BASE, CORRECTED), tuple(states), time_s, residual, residual, found, np.full(FRAMES, 60.0), gap, contours, words
+    return LipClip("anna", *many)
+
+
+def files(clip, folder) -> ClipFiles:
+    folder.mkdir()
+    clip.save(folder / "clip.npz")
+    (folder / "overlay.mp4").write_bytes(b"moving pictures of " + clip.name.encode())
+    return ClipFiles(folder / "clip.npz", folder / "overlay.mp4", folder / "corrected.json")
+
+
+def test_frames_are_told_as_runs():
+    assert told_frames(np.array([3, 7, 8, 9, 12])) == "3, 7 to 9, 12"
+    assert told_frames(np.array([], int)) == "none"
+
+
+def test_the_curves_show_closures_and_what_is_missing(clip):
+    image, plain = clip_curves(clip), clip_curves(replace(clip, words=()))
+    assert image.shape == plain.shape
+    upper = slice(0, image.shape[0] // 2)
+    assert (image[upper] != plain[upper]).any(axis=2).sum() > 1000
+    # the stripe of lost frames is red: more red than blue by far
+    red = (image[..., 0].astype(int) - image[..., 2] > 40) & (image[..., 1] < 200)
+    assert red.any(axis=0).sum() > 0.02 * image.shape[1]
+    nothing = replace(clip, gap_mm=np.full_like(clip.gap_mm, np.nan), contour_px=np.full_like(clip.contour_px, np.nan))
+    assert clip_curves(nothing).shape == image.shape
+
+
+def test_the_page_holds_every_clip_and_what_has_no_answer(clip, tmp_path):
+    both = [files(clip, tmp_path / "anna"), files(replace(clip, name="<ben>", words=()), tmp_path / "ben")]
+    write_clip_report(both, {"wall": "no face in 20 frames"}, {"regressor": "lips.npz"}, tmp_path / "lips.html")
+    page = (tmp_path / "lips.html").read_text()
+    videos = re.findall(r'<video[^>]*src="data:video/mp4;base64,([^"]+)"', page)
+    assert [base64.b64decode(video) for video in videos] == [b"moving pictures of anna", b"moving pictures of <ben>"]
+    # nothing is fetched, and videos within the page may play
+    assert "media-src data:" in page
+    assert "http" not in page.replace('<meta http-equiv="', "")
+    assert "Frames lost: 40 to 42. Found again: 43." in page
+    assert "were not found: 50." in page
+    assert "no face in 20 frames" in page
+    assert "<ben>" not in page
+    assert "&lt;ben&gt;" in page
+
+
+def test_closures_stand_beside_chance(clip, tmp_path):
+    write_clip_report([files(clip, tmp_path / "anna")], {}, {}, tmp_path / "lips.html")
+    page = re.sub(r"<[^>]+>", " ", (tmp_path / "lips.html").read_text())
+    assert re.search(r"corrected\s+2 of 2", page)
+    assert re.search(r"base tracker\s+0 of 2", page)
+    assert re.search(r"bin\s+b\s+0.43", page)
+    assert re.search(r"by\s+b\s+1.03", page)
+
+
+def test_without_words_nothing_is_said_of_closures(clip, tmp_path):
+    write_clip_report([files(replace(clip, words=()), tmp_path / "anna")], {}, {}, tmp_path / "lips.html")
+    assert "by chance" not in (tmp_path / "lips.html").read_text()
