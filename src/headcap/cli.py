@@ -82,12 +82,47 @@ def _parser() -> argparse.ArgumentParser:
         "--out", type=Path, required=True, help="folder to write, lips.html in it; one in it for each of several videos"
     )
 
+    _add_lip_label_commands(add)
+
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
     schema.add_argument("--folder", type=Path, default=Path("config/schema"))
     mode = schema.add_mutually_exclusive_group(required=True)
     mode.add_argument("--write", action="store_true", help="write them")
     mode.add_argument("--check", action="store_true", help="exit with 1 where they are not in step with the settings")
     return parser
+
+
+def _add_lip_label_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
+    """`lip-labels begin`, `show` and `adapt`."""
+    labels = add(
+        "lip-labels", _begin_labels, "Lip contours drawn by hand in some frames of a video: begun, shown, and learnt from."
+    )
+    verbs = labels.add_subparsers(required=True, metavar="VERB")
+
+    def verb(name: str, command, help_text: str) -> argparse.ArgumentParser:
+        """One of them, with the video it is about."""
+        sub = verbs.add_parser(name, help=help_text, description=help_text)
+        sub.set_defaults(command=command)
+        sub.add_argument("video", type=Path, help="the video whose frames are labelled")
+        return sub
+
+    begin = verb("begin", _begin_labels, "Write contours that were found in some frames, to be corrected by hand.")
+    show = verb("show", _show_labels, "Draw labels over their frames, and say what is wrong with them.")
+    adapt = verb("adapt", _adapt_labels, "Teach the contour detector of lips.npz the person and the light of labelled frames.")
+    for sub in (begin, adapt):
+        sub.add_argument("--regressor", type=Path, required=True, help="lips.npz of a study")
+        sub.add_argument("--tracked", type=Path, required=True, help="folder that `headcap lips` wrote of this video")
+    for sub in (show, adapt):
+        sub.add_argument("labels", type=Path, help=".json, .csv, or a folder of labelme's")
+    begin.add_argument("--frames", type=_numbers, metavar="K,K,...", help="which (default: some of those that were followed)")
+    begin.add_argument("--count", type=int, default=6, help="how many, evenly spread, where none are named (default: 6)")
+    begin.add_argument("--out", type=Path, required=True, help=".json to write, or a folder of pictures that labelme opens")
+    show.add_argument("--out", type=Path, required=True, help="folder to write")
+    adapt.add_argument("--out", type=Path, required=True, help="lips.npz to write, for `headcap lips --regressor`")
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in text.split(","))
 
 
 def _add_neck_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
@@ -253,6 +288,32 @@ def _lips(options: argparse.Namespace) -> int:
         print(f"headcap: {name}: {why}", file=sys.stderr)
     print(f"wrote {options.out}")
     return 1 if answer.failures else 0
+
+
+def _begin_labels(options: argparse.Namespace) -> int:
+    from headcap.workflow.lip_labels import LabelRequest, begin_labels
+
+    request = LabelRequest(options.video, options.regressor, options.tracked)
+    return _print_written(begin_labels(request, options.out, options.frames, options.count), options.out)
+
+
+def _show_labels(options: argparse.Namespace) -> int:
+    from headcap.workflow.lip_labels import show_labels
+
+    return _print_written(show_labels(options.video, options.labels, options.out), options.out)
+
+
+def _adapt_labels(options: argparse.Namespace) -> int:
+    from headcap.workflow.lip_labels import LabelRequest, adapt_kit
+
+    request = LabelRequest(options.video, options.regressor, options.tracked)
+    return _print_written(adapt_kit(request, options.labels, options.out), options.out)
+
+
+def _print_written(lines: Sequence[str], out: Path) -> int:
+    for line in (*lines, f"wrote {out}"):
+        print(line)
+    return 0
 
 
 def _edit(options: argparse.Namespace) -> int:

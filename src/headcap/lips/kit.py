@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -47,16 +48,25 @@ class LipKit:
     monocular: MonocularSettings
     search: SearchSettings
 
+    @cached_property
+    def space(self) -> MouthSpace:
+        """The head model's mouth, as the regressor was trained with it."""
+        regressor = self.regressor
+        return MouthSpace(self.head, regressor.mouth(self.head), regressor.mouth_settings, regressor.space)
+
+    @property
+    def finder(self) -> ContourFinder:
+        """Finds contours in pictures of which a base track is known."""
+        return ContourFinder(self.detector, MouthLocator.of(self.space.mouth, self.space.features), self.search)
+
     def correct(self, clip: Clip, track: MonocularTrack) -> CorrectedClip:
         """Find contours and correct a clip that was tracked with this kit's head model.
 
         Frames that the base tracker lost, or whose contours were not found, are NaN and never made up. Raises `InputError` for a
         track of another head model and a clip in which no frame shows both contours.
         """
-        regressor = self.regressor
-        space = MouthSpace(self.head, regressor.mouth(self.head), regressor.mouth_settings, regressor.space)
-        finder = ContourFinder(self.detector, MouthLocator.of(space.mouth, space.features), self.search)
-        found = find_contours(finder, clip.pictures(), track.meshes(self.head), clip.camera)
+        regressor, space = self.regressor, self.space
+        found = find_contours(self.finder, clip.pictures(), track.meshes(self.head), clip.camera)
         if not found.found.any():
             raise InputError(
                 f"lip contours in none of {len(found)} frames",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from headcap.lips.artifact import LipRegressor
-from headcap.lips.contours import LipExample, MouthLocator, mesh_examples
+from headcap.lips.contours import LipExample, MouthLocator, labelled_examples, load_labels, mesh_examples
 from headcap.lips.contours.settings import ContourSettings, SearchSettings
 from headcap.lips.features import LipFeatures
 from headcap.lips.mesh_contours import MeshContours
@@ -34,6 +34,11 @@ class LipTrainingSettings(BaseModel):
     )
     pictures_per_take: int = Field(
         12, ge=1, description="Frames of each training take that the contour detector learns from, evenly spread"
+    )
+    labels: dict[str, dict[str, str]] = Field(
+        default={},
+        description="Files of lip contours drawn by hand, by person and take; frames are counted as in the take's base track. "
+        "The contour detector learns from them in the place of what the take's true meshes show.",
     )
     contours: ContourSettings = ContourSettings()
     search: SearchSettings = SearchSettings()
@@ -76,15 +81,23 @@ def spread_frames(frames: int, count: int) -> frozenset[int]:
 def contour_examples(person: LipPersonFiles, space: MouthSpace, settings: LipTrainingSettings) -> list[LipExample]:
     """A few frames of each of a person's takes, with the contours that their true meshes show there (section 3.2.2).
 
-    The paper labels some frames by hand; the rig knows. Raises `InputError` as `LipPersonFiles.load` and `ClipFiles.open`.
+    The paper labels some frames by hand; the rig knows, and is asked in takes that nobody has labelled. Raises `InputError` as
+    `LipPersonFiles.load`, `ClipFiles.open`, `load_labels` and `labelled_examples`.
     """
     model, locate = space.model, MouthLocator.of(space.mouth, space.features)
     see = MeshContours.of(np.asarray(model.vertices, float), space.mouth, model.regions)
     loaded, out = person.load(space, contours=False), []
     for take in person.takes:
-        clip, truth = take.clip.open(), loaded.takes[take.name].truth()
+        clip, known = take.clip.open(), loaded.takes[take.name]
+        drawn = settings.labels.get(person.name, {}).get(take.name)
+        if drawn is not None:
+            base = known.seen.base
+            out += labelled_examples(
+                person.name, clip.pictures(), load_labels(drawn), base.world(base.meshes), clip.camera, locate
+            )
+            continue
         chosen = spread_frames(len(clip), settings.pictures_per_take)
-        meshes = (np.asarray(mesh, float) if frame in chosen else None for frame, mesh in enumerate(truth))
+        meshes = (np.asarray(mesh, float) if frame in chosen else None for frame, mesh in enumerate(known.truth()))
         out += mesh_examples(person.name, clip.pictures(), meshes, clip.camera, see, locate)
     return out
 

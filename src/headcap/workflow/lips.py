@@ -40,6 +40,8 @@ class LipRequest:
     camera_name: str | None = None
     detections: Path | None = None
     """Landmarks of a detector's, for the first frame or all."""
+    person: Path | None = None
+    """Another base track of the same person, best of a video in which the head turns."""
     words: Path | None = None
     """What was said and when, see `read_words`; without one a file beside the video, with .align for its ending, is taken."""
 
@@ -51,6 +53,7 @@ def lip_requests(
     camera_name: str | None = None,
     detections: Path | None = None,
     words: Sequence[Path] = (),
+    person: Path | None = None,
 ) -> list[LipRequest]:
     """A request for each video; of several each takes the file of words that has its name.
 
@@ -70,7 +73,7 @@ def lip_requests(
         )
     if len(videos) == 1 and words:
         named = {videos[0].stem: words[0]}
-    return [LipRequest(video, kit, camera, camera_name, detections, named.get(video.stem)) for video in videos]
+    return [LipRequest(video, kit, camera, camera_name, detections, person, named.get(video.stem)) for video in videos]
 
 
 @dataclass(frozen=True)

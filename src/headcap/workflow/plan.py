@@ -168,7 +168,7 @@ def load_plan(document: dict[str, Any]) -> Plan:
     errors += [_named_twice(name) for name in sorted({name for name in names if names.count(name) > 1})]
     _refuse(errors)
     plan = Plan(study, {session.session: session for session, _ in checked})
-    _refuse([_disagreement(told) for told in study_disagreements(plan)] + _missing_mesh_files(study) + _always_tattooed(plan))
+    _refuse([_disagreement(told) for told in study_disagreements(plan)] + _missing_study_files(study) + _always_tattooed(plan))
     return plan
 
 
@@ -191,6 +191,11 @@ def study_disagreements(plan: Plan) -> Iterator[str]:
         yield from (f"{where}: {name} has no speech take with a sound" for name in silent)
         if group.name in people:
             yield f"{where}: a person has that name, and a regressor of their own"
+    for person, takes in study.train_lips.labels.items():
+        filmed = plan.filmed(person) if person in plan.training else ()
+        yield from (
+            f"train_lips.labels: {take} is no filmed take of a {person} who trains" for take in takes if take not in filmed
+        )
     groups = [group.name for group in study.groups]
     yield from (f"groups: {name} is named twice" for name in sorted({name for name in groups if groups.count(name) > 1}))
     for subject in study.mesh_subjects:
@@ -217,7 +222,7 @@ def _always_tattooed(plan: Plan) -> list[InputError]:
     ]
 
 
-def _missing_mesh_files(study: Study) -> list[InputError]:
+def _missing_study_files(study: Study) -> list[InputError]:
     given = [
         (f"{subject.subject}.{key}", path)
         for subject in study.mesh_subjects
@@ -228,10 +233,15 @@ def _missing_mesh_files(study: Study) -> list[InputError]:
             *((f"{take.name}.{key}", getattr(take, key)) for take in subject.takes for key in _TAKE_FILES),
         )
     ]
+    drawn = [
+        (f"train_lips.labels.{person}.{take}", path)
+        for person, takes in study.train_lips.labels.items()
+        for take, path in takes.items()
+    ]
+    missing = [(key, path) for key, path in given if path and not Path(path).is_file()]
     return [
         InputError(f"{key}: {path} is not there", expected="a file", remedy="Correct the path.")
-        for key, path in given
-        if path and not Path(path).is_file()
+        for key, path in missing + [(key, path) for key, path in drawn if not Path(path).exists()]
     ]
 
 

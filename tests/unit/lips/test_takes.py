@@ -1,6 +1,7 @@
 """A take as a regressor sees it: from a base track, with and without the person's true neutral head; and the file for a video."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,16 +11,26 @@ from headcap.errors import InputError
 from headcap.geometry.transforms import from_vector, transform
 from headcap.heads import procedural_model
 from headcap.lips.artifact import LipRegressor
-from headcap.lips.contours import ContourDetector, ContourSettings, SearchSettings
+from headcap.lips.clips import Clip
+from headcap.lips.contours import ContourDetector, ContourSettings, SearchSettings, save_labels
 from headcap.lips.contours.detector import CONTOURS, PASSES
 from headcap.lips.correction import TrueNeutral
+from headcap.lips.features import LipContours
 from headcap.lips.kit import LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import FrameState, MonocularSettings, MonocularTrack
 from headcap.lips.people import LipPerson, LipPersonTake
 from headcap.lips.regression import RegressionSettings
 from headcap.lips.takes import MouthSpace, SeenTake, resting_distances
-from headcap.lips.training import LipTrainingSettings, RegressorPlan, planned_regressors, regressed, spread_frames, train_lips
+from headcap.lips.training import (
+    LipTrainingSettings,
+    RegressorPlan,
+    contour_examples,
+    planned_regressors,
+    regressed,
+    spread_frames,
+    train_lips,
+)
 from headcap.registration.sequence import MeshSequence, save_chunk
 
 FRAMES = 12
@@ -136,6 +147,28 @@ def regressor(space, seen, tmp_path_factory) -> LipRegressor:
     # one frame of each take was lost
     assert (generic.regression.figures["frames"], own.regression.figures["frames"]) == (2 * FRAMES - 2, FRAMES - 1)
     return generic
+
+
+def test_a_labelled_take_teaches_what_a_hand_drew(space, seen, stage, tmp_path):
+    drawn = {k: LipContours(seen.contours[k].outer + 1.0, seen.contours[k].inner) for k in (1, 5)}
+    save_labels(tmp_path / "drawn.json", drawn | {3: seen.contours[0]})
+    clip = Clip(stage.camera, np.arange(FRAMES) / 10, lambda: iter([np.zeros((960, 540, 3), np.uint8)] * FRAMES))
+    truth = list(np.nan_to_num(seen.base.world(seen.base.meshes)))
+    known = SimpleNamespace(seen=seen, truth=lambda: truth)
+    person = SimpleNamespace(
+        name="anna",
+        takes=[SimpleNamespace(name=name, clip=SimpleNamespace(open=lambda: clip)) for name in ("one", "two")],
+        load=lambda space, contours: SimpleNamespace(takes={"one": known, "two": known}),
+    )
+    labels = {"anna": {"one": str(tmp_path / "drawn.json")}, "bea": {"two": "nobody asks for this"}}
+    settings = LipTrainingSettings(labels=labels, pictures_per_take=1)
+    found = contour_examples(person, space, settings)
+    # the track lost frame 3; the other take, which nobody has labelled, tells by its mesh
+    assert len(found) == 3
+    middles = [example.contours.outer - example.view.border[: len(example.contours.outer)] for example in found]
+    np.testing.assert_allclose(middles[0], 1.0, atol=0.02)  # written with two digits, a mesh in single precision
+    np.testing.assert_allclose(middles[1], 1.0, atol=0.02)
+    np.testing.assert_allclose(middles[2], 0.0, atol=0.02)
 
 
 def test_a_kit_comes_back_from_its_file_as_it_was(space, seen, regressor, tmp_path):

@@ -160,3 +160,22 @@ def test_tattooed_lips_that_no_take_shows_bare_are_told_before_any_job():
     assert message in told(changed(sessions=[tattooed(kiss, talk)]))
     assert "untattooed_take: no take is called nod" in told(tattooed(kiss, talk, untattooed_take="nod"))
     assert "untattooed_take: the lips are tattooed in kiss" in told(tattooed(kiss, TAKES[1], untattooed_take="kiss"))
+
+
+def test_labels_by_hand_are_of_filmed_takes_of_people_who_train(tmp_path):
+    (tmp_path / "kiss.json").touch()
+    drawn = {"d": {"kiss": str(tmp_path / "kiss.json")}}
+    assert load_plan(filmed(train_lips={"labels": drawn})).study.train_lips.labels == drawn
+    wrong = {
+        "d": {"hug": str(tmp_path / "kiss.json"), "talk": "talk.json"},
+        "f": {"kiss": str(tmp_path)},
+        "x": {"kiss": str(tmp_path)},
+    }
+    message = told(filmed(train_lips={"labels": wrong}))
+    for line in (
+        "train_lips.labels: hug is no filmed take of a d who trains",
+        "train_lips.labels: kiss is no filmed take of a f who trains",
+        "train_lips.labels: kiss is no filmed take of a x who trains",
+        "train_lips.labels.d.talk: talk.json is not there",
+    ):
+        assert line in message
