@@ -72,6 +72,11 @@ def _parser() -> argparse.ArgumentParser:
     lips.add_argument("--camera-name", help="which of the rig's cameras")
     lips.add_argument("--detections", type=Path, help="68, 468 or 478 landmarks by frame, JSON or CSV, of any detector")
     lips.add_argument(
+        "--person",
+        type=Path,
+        help="track.npz of another video of the same person, best of one in which the head turns (default: the video tells)",
+    )
+    lips.add_argument(
         "--align",
         type=Path,
         nargs="+",
@@ -280,7 +285,7 @@ def _fit(options: argparse.Namespace) -> int:
 def _lips(options: argparse.Namespace) -> int:
     from headcap.workflow.lips import correct_videos, lip_requests
 
-    given = (options.camera, options.camera_name, options.detections, options.align or ())
+    given = (options.camera, options.camera_name, options.detections, options.align or (), options.person)
     answer = correct_videos(lip_requests(options.videos, options.regressor, *given), options.out)
     for line in answer.lines:
         print(line)

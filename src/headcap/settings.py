@@ -39,7 +39,7 @@ CALIBRATION = "calibration"
 """Name of the board's recording among a session's recordings."""
 
 Vector = tuple[float, float, float]
-_MOVING_LIPS = ("lips", "speech", "expression", "free", "pose")
+_MOVING_LIPS = ("lips", "speech", "expression", "free", "pose", "turn")
 """Kinds of takes, the likeliest first that the mouth opens in."""
 
 

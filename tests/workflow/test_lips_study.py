@@ -11,18 +11,20 @@ from headcap.cli import main
 from headcap.evaluation.lips_study import LipStudy
 from headcap.evaluation.metrics import load_metrics
 from headcap.lips.artifact import LipRegressor
+from headcap.lips.monocular import MonocularTrack
 from headcap.registration.sequence import MeshSequence
 
 TAKES = [
     {"name": name, "kind": "lips", "duration_s": 1.0, "lip_tattoo": False, "lip_shapes": ["smile", "jaw_open"]}
     for name in ("lips_01", "lips_02")
 ]
+TURN = {"name": "turn_01", "kind": "turn", "duration_s": 1.0}
 VIDEO = {"width": 270, "height": 480}
 STUDY = {
     "study": "mouths",
     "mesh_subjects": [
         {"subject": name, "rehearse_meshes": {"seed": seed, "rate_hz": 10, "video": VIDEO, "takes": takes}}
-        for seed, name, takes in ((31, "hana", TAKES), (36, "karl", TAKES[:1]))
+        for seed, name, takes in ((31, "hana", TAKES), (36, "karl", [TURN, *TAKES[:1]]))
     ],
     "held_out": ["karl"],
     # what counts here is that all stages go together
@@ -51,6 +53,16 @@ def test_regressors_know_whom_they_were_trained_on(finished: Path) -> None:
     assert (generic.relation("karl"), own.relation("hana")) == ("GR", "PS")
     # the take that tests somebody's own regressor trains only the one for strangers
     assert generic.regression.figures["frames"] == 2 * own.regression.figures["frames"]
+
+
+def test_a_take_in_which_the_head_turns_tells_the_others_who_it_is(finished: Path) -> None:
+    folder = finished / "results/mouths/track_monocular/karl"
+    turned, own = (MonocularTrack.load(folder / f"{take}.npz") for take in ("turn_01", "lips_01"))
+    assert own.layer.any()
+    np.testing.assert_array_equal(own.layer, turned.layer)
+    np.testing.assert_array_equal(own.shape, turned.shape)
+    # it tells of nothing else
+    assert not (finished / "results/mouths/find_contours/karl/turn_01.npz").exists()
 
 
 def test_tables_compare_every_method_that_may_be_tested(finished: Path) -> None:

@@ -69,6 +69,13 @@ LIP_SHAPES: dict[LipShape, dict[str, float]] = {
     "jaw_open": {"jaw": 1.0},
 }
 """What lips do in a take of theirs: the shapes that the lips' paper names (section 3.1), and what the jaw and single lips add."""
+_TURNS: dict[TakeKind, tuple[float, float, float, float]] = {
+    "pose": (0.24, 0.5, 0.18, 0.32),
+    "turn": (0.24, 0.5, 0.18, 0.32),
+    "speech": (0.03, 0.04, 0.02, 0.4),
+    "free": (0.07, 0.15, 0.05, 0.45),
+}
+"""How far a head turns about its axes, radians, and how long a move takes, seconds."""
 _FIRST_SHAPES = 7
 """These come first, in any order, where a take does not name its shapes; then the others; then all of them."""
 
@@ -99,16 +106,14 @@ def perform(
     if kind in ("speech", "free"):
         speech = speak(random, duration_s, pitch_hz=random.uniform(100, 150))
         _follow_speech(channels, speech, time)
-    if kind in ("pose", "speech", "free"):
-        *reach, move_s = {"pose": (0.24, 0.5, 0.18, 0.32), "speech": (0.03, 0.04, 0.02, 0.4), "free": (0.07, 0.15, 0.05, 0.45)}[
-            kind
-        ]
+    if kind in _TURNS:
+        *reach, move_s = _TURNS[kind]
         _turn_head(channels, random, time, np.array(reach) * intensity, move_s)
     if kind in ("expression", "free", "lips"):
         poses = _lip_shapes(random, shapes) if kind == "lips" else _shuffled(random, _EXPRESSIONS)
         strength = intensity * {"expression": 1.0, "free": 0.6, "lips": 1.0}[kind]
         _make_faces(channels, random, time, poses, strength)
-    if kind in ("expression", "free", "pose"):
+    if kind in ("expression", "free", "pose", "turn"):
         _blink(channels, random, time)
     for name in MUSCLES + ARTICULATORS:
         low = -1.0 if name in _SIGNED else 0.0

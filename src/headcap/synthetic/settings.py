@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Vector = tuple[float, float, float]
-TakeKind = Literal["pose", "expression", "speech", "lips", "free"]
+TakeKind = Literal["pose", "expression", "speech", "lips", "free", "turn"]
 LipShape = Literal[
     "pucker", "press", "spread", "tuck", "bare_upper", "bare_lower", "round_open", "smile", "smirk_left", "smirk_right", "frown",
     "kiss", "roll_in", "roll_out", "puff", "side_left", "side_right", "jaw_open",

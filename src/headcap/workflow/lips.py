@@ -128,7 +128,8 @@ def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) 
     detections = load_detections(request.detections) if request.detections else None
     folder.mkdir(parents=True, exist_ok=True)
     track_path, camera_path = folder / "track.npz", folder / "camera.json"
-    track_clip(kit.head, clip, kit.monocular, track_path, camera_path, folder / "track.png", detections)
+    person = MonocularTrack.load(request.person).person if request.person else None
+    track_clip(kit.head, clip, kit.monocular, track_path, camera_path, folder / "track.png", detections, person)
     track = MonocularTrack.load(track_path)
     seen = replace(clip, camera=load_camera(camera_path))
     corrected = kit.correct(seen, track)
@@ -168,7 +169,7 @@ def _save_meshes(folder: Path, kit: LipKit, track: MonocularTrack, corrected: Co
     save_chunk(positions, corrected.meshes)
     MeshSequence(request.video.stem, track.time_s, (positions,)).save(sequence)
     _template(kit, corrected).save(folder / "corrected.template.npz")
-    given = (request.video, request.kit, request.camera, request.detections, request.words)
+    given = (request.video, request.kit, request.camera, request.detections, request.person, request.words)
     write_manifest(
         sequence,
         kind="mesh_sequence",

@@ -103,7 +103,7 @@ class Plan:
 
     def turning_take(self, person: str) -> str | None:
         """A filmed take in which somebody turns the head, which tells a single camera who that is (see `lips.monocular`)."""
-        return next(iter(self.filmed(person, "pose")), None)
+        return next(iter((*self.filmed(person, "turn"), *self.filmed(person, "pose"))), None)
 
     @property
     def inpainted(self) -> tuple[tuple[str, str], ...]:

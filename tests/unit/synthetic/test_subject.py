@@ -51,7 +51,7 @@ def test_the_larynx_is_no_blend_of_shapes():
     assert singular[1] > 0.3 * singular[0]
 
 
-@pytest.mark.parametrize("kind", ["pose", "expression", "speech", "lips", "free"])
+@pytest.mark.parametrize("kind", ["pose", "expression", "speech", "lips", "free", "turn"])
 def test_a_performance_is_still_first_then_moves_smoothly(kind):
     performance = perform(np.random.default_rng(4), kind, 1.5, 1.0)
     assert all(abs(value) < 1e-6 for value in performance.state(ONSET_S - 0.01).values())

@@ -17,6 +17,7 @@ from headcap.heads import procedural_model
 from headcap.lips.clips import video_clip
 from headcap.lips.contours import ContourSettings, MouthLocator, SearchSettings, mesh_examples, train_detector
 from headcap.lips.contours.settings import BoostingSettings
+from headcap.lips.correction import TrueNeutral
 from headcap.lips.kit import LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import MonocularSettings, track_video
@@ -56,7 +57,8 @@ def _kit(folder: Path) -> LipKit:
     monocular = MonocularSettings()
     track = track_video(space.model, clip.camera, clip.pictures(), clip.time_s, settings=monocular)
     seen = SeenTake.of(space, track, clip.camera, [see(mesh, clip.camera) for mesh in meshes])
-    learnt = LipPersonTake("lips", seen, truth.time_s, truth, np.arange(len(meshes)))
+    true = TrueNeutral.of(seen.neutral, space.mouth.steady)
+    learnt = LipPersonTake("lips", seen, truth.time_s, true, truth, np.arange(len(meshes)))
     person = LipPerson("anna", meshes[0], {"anna": learnt})
     settings = LipTrainingSettings(test_takes=("none",), regression=RegressionSettings(every=2, folds=2))
     regressor = train_lips(space, [person], RegressorPlan("generic", "GR", ("anna",)), settings)
