@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from headcap.errors import InputError
@@ -92,7 +92,7 @@ def profile_landmarks(vertices: NDArray) -> dict[str, int]:
 def _warp(source: NDArray, target: NDArray):
     """A map of points (k, 3) that takes anchors to anchors: a smooth warp from eight on, else scale and shift of each axis."""
     if len(source) >= 8:
-        return RBFInterpolator(source, target, kernel="thin_plate_spline", degree=1, smoothing=1e-6)
+        return scipy.interpolate.RBFInterpolator(source, target, kernel="thin_plate_spline", degree=1, smoothing=1e-6)
     scale, shift = np.ones(3), np.zeros(3)
     for axis in (1, 2):
         scale[axis], shift[axis] = np.polyfit(source[:, axis], target[:, axis], 1)

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from headcap.artifacts import load_arrays, save_arrays
-from headcap.heads import cutting, sewing, unwrapping
 from headcap.registration.template import Template
 
 KIND, SCHEMA = "base_head", 1
@@ -54,6 +53,9 @@ def eye_rims() -> np.ndarray:
 
 def build() -> None:
     """Sculpt, cut, sew and unwrap the head and write it beside this module."""
+    # here and not above: every job loads the head, and none makes it
+    from headcap.heads import cutting, sewing
+
     plane = cutting.flatten_half()
     points, triangles, chains = cutting.triangulate(plane)
     eye = sewing.inside_rim(points, chains)
@@ -83,6 +85,8 @@ def build() -> None:
 
 def _texture_coordinates(skin, half_triangles, chains, vertices, whole, pocket) -> tuple[np.ndarray, np.ndarray]:
     """Skin chart over the head with its lips closed, cut along the back; the pocket's chart beside it."""
+    from headcap.heads import sewing, unwrapping
+
     closed = sewing.Half(skin, half_triangles, np.zeros(len(half_triangles), bool), {})
     shut, triangles, _, _ = sewing.mirror(closed)
     border = chains["border"]

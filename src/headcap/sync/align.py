@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from headcap.errors import InputError
 from headcap.sync.gcc import delay_of_spectra, spectrum
@@ -52,7 +52,7 @@ def recording_lag(first: tuple[NDArray, int, float], second: tuple[NDArray, int,
     (a, rate, a_start_s), (b, rate_b, b_start_s) = first, second
     if rate != rate_b:
         raise ValueError(f"sounds of one rate, got {rate} and {rate_b} Hz")
-    size = next_fast_len(len(a) + len(b), real=True)
+    size = scipy.fft.next_fast_len(len(a) + len(b), real=True)
     spectra = spectrum(a, size), spectrum(b, size)
     band_hz = (settings.band_hz[0], min(settings.band_hz[1], VOICE_HZ))
     delay = delay_of_spectra(*spectra, size, rate, max_lag_s=size / rate / 2, band_hz=band_hz, upsampling=1)
@@ -128,7 +128,7 @@ def match_clocks(
         return coarse
     reach_s = settings.max_lag_s + 1e-6 * settings.max_drift_ppm * span_s
     width = round(min(WINDOW_S, span_s / 4) * rate)
-    size = next_fast_len(width + round(2 * reach_s * rate), real=True)
+    size = scipy.fft.next_fast_len(width + round(2 * reach_s * rate), real=True)
     band_hz = (settings.band_hz[0], min(settings.band_hz[1], VOICE_HZ))
     moments, delays, weights = [], [], []
     for place in np.linspace(begin * rate, end * rate - width, WINDOWS).round().astype(int):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 
 from headcap.sync.clap import STRONGEST_DB, Onset, clap_energy, onset_strength_db, onsets_of
 from headcap.sync.pairs import from_pair_medians
@@ -79,14 +79,14 @@ def _listen(sound: Sound, settings: SyncSettings) -> _Listening:
 def coarse_alignment(sounds: list[Sound], strengths: list[Array], settings: SyncSettings) -> Array:
     """(cameras,) own time minus common time, up to a constant, from the correlation of onset strengths; good to ~5 ms."""
     step_s = settings.coarse_step_s
-    size = next_fast_len(2 * max(len(strength) for strength in strengths), real=True)
-    spectra = [rfft(strength, size) for strength in strengths]
+    size = scipy.fft.next_fast_len(2 * max(len(strength) for strength in strengths), real=True)
+    spectra = [scipy.fft.rfft(strength, size) for strength in strengths]
     n = len(sounds)
     differences = np.full((n, n), np.nan)
     for i in range(n):
         differences[i, i] = 0.0
         for j in range(i + 1, n):
-            correlation = irfft(spectra[j] * spectra[i].conj(), size)
+            correlation = scipy.fft.irfft(spectra[j] * spectra[i].conj(), size)
             if correlation.max() <= 1e-6:
                 continue
             lag = int(correlation.argmax())

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 # a frequency this far under the strongest carries no phase worth counting
 FLOOR = 1e-3
@@ -23,14 +23,14 @@ class Delay:
 
 def spectrum(samples: NDArray, size: int) -> NDArray[np.complex128]:
     """Spectrum zero-padded to `size`."""
-    return rfft(np.asarray(samples, np.float64), size)
+    return scipy.fft.rfft(np.asarray(samples, np.float64), size)
 
 
 def gcc_phat(
     first: NDArray, second: NDArray, rate_hz: int, *, max_lag_s: float, band_hz: tuple[float, float], upsampling: int = 8
 ) -> Delay:
     """Delay of `second` behind `first`, both mono and of one rate; sub-sample by upsampling and a parabola."""
-    size = next_fast_len(len(first) + len(second), real=True)
+    size = scipy.fft.next_fast_len(len(first) + len(second), real=True)
     spectra = spectrum(first, size), spectrum(second, size)
     return delay_of_spectra(*spectra, size, rate_hz, max_lag_s=max_lag_s, band_hz=band_hz, upsampling=upsampling)
 
@@ -51,14 +51,14 @@ def delay_of_spectra(
     `expected_within_s` favours lags near zero: a peak much farther off (an echo, where the direct sound is weak) must be
     several times as high to be taken.
     """
-    frequency_hz = rfftfreq(size, 1 / rate_hz)
+    frequency_hz = scipy.fft.rfftfreq(size, 1 / rate_hz)
     inside = (frequency_hz >= band_hz[0]) & (frequency_hz <= min(band_hz[1], 0.45 * rate_hz))
     cross = second * first.conj()
     magnitude = np.abs(cross)
     weight = inside / (magnitude + FLOOR * magnitude[inside].max(initial=0.0) + 1e-30)
     phases = cross * weight
     # the integral over all frequencies is the height of the peak that a perfect copy would have
-    correlation = irfft(phases, size * upsampling) * upsampling * size / (2 * max(inside.sum(), 1))
+    correlation = scipy.fft.irfft(phases, size * upsampling) * upsampling * size / (2 * max(inside.sum(), 1))
     step_s = 1 / (rate_hz * upsampling)
     reach = min(round(max_lag_s / step_s), len(correlation) // 2 - 1)
     around = np.concatenate([correlation[-reach:], correlation[: reach + 1]])

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from headcap.errors import InputError, InputErrors
 from headcap.sync.clap import find_claps
@@ -161,11 +161,11 @@ def _retry_unlike(sounds: list[Sound], own_s: Array, cuts: list[Cut], sharpness:
 
 
 def _spectrum(cut: Cut) -> NDArray[np.complex128]:
-    return spectrum(cut.samples, next_fast_len(2 * len(cut.samples), real=True))
+    return spectrum(cut.samples, scipy.fft.next_fast_len(2 * len(cut.samples), real=True))
 
 
 def _delay(cut: Cut, first: NDArray, second: NDArray, settings: SyncSettings) -> Delay:
-    size = next_fast_len(2 * len(cut.samples), real=True)
+    size = scipy.fft.next_fast_len(2 * len(cut.samples), real=True)
     limits = {"max_lag_s": settings.max_lag_s, "band_hz": settings.band_hz, "upsampling": settings.upsampling}
     return delay_of_spectra(first, second, size, cut.rate_hz, expected_within_s=settings.onset_error_s, **limits)
 
