@@ -27,9 +27,16 @@ class RegressionSettings(BaseModel):
 
     kind: Literal["rbf", "affine"] = Field("rbf", description="Network of eq. 3, or features times weights plus bias")
     inputs: Inputs = Field("combined", description="Shape vector and contour distances, or one of the two (table 2)")
-    every: int = Field(10, ge=1, description="Every so manieth frame of a take is a prototype (the paper: tenth)")
+    every: int = Field(10, ge=1, description="Every so manieth frame of a take is a prototype, at least (the paper: tenth)")
+    prototypes: int = Field(
+        320,
+        ge=1,
+        description="How many prototypes there should be: smaller training sets are sampled more densely than `every`, down to "
+        "each frame (the paper's tenth of 3,289 frames are 329). A network spans no more than its neurons: with fewer of them "
+        "than features it loses to an affine map, whatever alpha and beta",
+    )
     alphas: tuple[float, ...] = Field(
-        (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0),
+        (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0),
         min_length=1,
         description="Ridge parameters of eq. 4 that are tried",
     )
@@ -172,9 +179,11 @@ def train_regression(takes: Sequence[LipTake], settings: RegressionSettings | No
     errors = cross_validation(inputs, principal.coordinates, fold_labels(kept, settings), settings)
     at = np.unravel_index(errors.argmin(), errors.shape)
     beta, alpha = _betas(settings)[at[0]], settings.alphas[at[1]]
-    prototypes = _prototypes(inputs, settings)
-    targets = principal.coordinates if settings.reduced else [part - principal.mean for part in flat]
-    network = fit_network(inputs, targets, prototypes, beta, alpha, np.float32)
+    prototypes = _prototypes(inputs, sampling(frames, settings), settings)
+    if settings.reduced:
+        network = fit_network(inputs, principal.coordinates, prototypes, beta, alpha)
+    else:
+        network = fit_network(inputs, [part - principal.mean for part in flat], prototypes, beta, alpha, np.float32)
     unit = frames * len(principal.mean)
     figures = {
         "frames": float(frames),
@@ -215,7 +224,7 @@ def cross_validation(
 
     `labels` (f,) per take number the parts. For each scale the Gram matrix is decomposed once and serves all ridge parameters.
     """
-    betas = _betas(settings)
+    betas, step = _betas(settings), sampling(sum(map(len, inputs)), settings)
     errors = np.zeros((len(betas), len(settings.alphas)))
     for fold in range(1 + max(int(part.max()) for part in labels)):
         training = [(x[part != fold], y[part != fold]) for x, y, part in zip(inputs, targets, labels, strict=True)]
@@ -223,12 +232,23 @@ def cross_validation(
         left_x, left_y = (
             np.concatenate([a[p == fold] for a, p in zip(arrays, labels, strict=True)]) for arrays in (inputs, targets)
         )
-        prototypes = _prototypes([part for part, _ in training], settings)
+        prototypes = _prototypes([part for part, _ in training], step, settings)
         for row, beta in zip(errors, betas, strict=True):
             row += _path_errors(
                 activations(x, prototypes, beta), y, activations(left_x, prototypes, beta), left_y, settings.alphas
             )
     return errors
+
+
+def sampling(frames: int, settings: RegressionSettings) -> int:
+    """Every so manieth frame is a prototype: `every`, or less where that would give too few of them (section 5.2).
+
+    Measured on strangers: nine filmed people of 108 frames each, one left out in turn, rms over the mouth's vertices of what the
+    regressed layer lacks. Before: 1.3 mm. An affine map leaves 0.46 mm, every third frame as a prototype 0.38 mm (288 of them),
+    each frame 0.35 mm; features of shape alone 0.53 mm, distances alone 0.62 mm. Of six such people every tenth frame leaves
+    0.56 mm (60 prototypes for 103 features), every fifth 0.48 mm, each 0.42 mm, the affine map 0.55 mm.
+    """
+    return int(np.clip(frames // settings.prototypes, 1, settings.every))
 
 
 def fold_labels(takes: Sequence[LipTake], settings: RegressionSettings) -> list[NDArray[np.int64]]:
@@ -253,11 +273,11 @@ def _path_errors(x: NDArray, y: NDArray, left_x: NDArray, left_y: NDArray, alpha
     return np.array([((shown @ (cross / (values + alpha)[:, None]) - wanted) ** 2).sum() for alpha in alphas])
 
 
-def _prototypes(inputs: Sequence[NDArray], settings: RegressionSettings) -> NDArray[np.float64]:
+def _prototypes(inputs: Sequence[NDArray], step: int, settings: RegressionSettings) -> NDArray[np.float64]:
     """(N, m) a temporally uniform sampling of each take (section 5.2)."""
     if settings.kind == "affine":
         return np.zeros((0, inputs[0].shape[1]))
-    return np.concatenate([part[:: settings.every] for part in inputs])
+    return np.concatenate([part[::step] for part in inputs])
 
 
 def _betas(settings: RegressionSettings) -> tuple[float, ...]:
