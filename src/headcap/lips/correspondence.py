@@ -20,11 +20,11 @@ from headcap.artifacts import load_arrays, save_arrays
 from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_similarity, transform
-from headcap.meshes.closest_point import Surface
+from headcap.meshes.closest_point import Surface, barycentric_weights
 from headcap.meshes.laplacian import Factor
 from headcap.meshes.normals import triangle_normals, vertex_normals
 from headcap.meshes.rasteriser import rasterise
-from headcap.meshes.topology import submesh
+from headcap.meshes.topology import boundary_edges, submesh
 from headcap.registration.nonrigid import Lines, NonrigidSettings, Plate, Target, fit_stage
 from headcap.registration.scan import Scan
 
@@ -34,6 +34,8 @@ _LEAST_COSINE = 0.3
 _CANDIDATES = 64
 """Triangles nearby that are searched for one that faces the right way."""
 _LEAST_LANDMARKS = 4
+_ON_EDGE = 1e-6
+"""Share of a corner below which a point lies on the edge opposite to it."""
 _ON_SKIN_M = 5e-3
 """Landmarks farther from the skin (ears, crown) place the face and bend nothing."""
 _ARRAYS = ("triangle", "local", "matched", "of_triangle", "rig_triangles", "registered")
@@ -245,7 +247,8 @@ def _tied(base: NeutralFace, bent: NDArray, rig: NeutralFace, settings: LipCorre
     skin = np.flatnonzero(rig.skin[rig.triangles].all(axis=1))
     corners = rig.triangles[skin]
     triangle, points, distance = _nearest_agreeing(bent, vertex_normals(bent, base.triangles), rig.vertices, corners)
-    matched = base.skin & (distance <= 1e-3 * settings.reach_mm)
+    # what hangs over the rim of the rig's skin, as lips behind the line between them, would be drawn together to a line there
+    matched = base.skin & (distance <= 1e-3 * settings.reach_mm) & ~_on_rim(rig.vertices, corners, triangle, points)
     share = float(matched[base.skin].mean())
     if share < 0.5:
         raise InputError(
@@ -266,6 +269,14 @@ def _tied(base: NeutralFace, bent: NDArray, rig: NeutralFace, settings: LipCorre
         "matched_share": share,
     }
     return Correspondence(skin[triangle], local, matched, skin[of_triangle], rig.triangles, registered, figures)
+
+
+def _on_rim(vertices: NDArray, triangles: NDArray, triangle: NDArray, points: NDArray) -> NDArray[np.bool_]:
+    """(q,) points (q, 3) in their triangles (q,) of (m, 3) that lie on an edge that only one triangle has."""
+    rim = np.zeros(len(vertices), bool)
+    rim[boundary_edges(triangles).ravel()] = True
+    shares = barycentric_weights(vertices[triangles[triangle]], points)
+    return ((shares > _ON_EDGE) <= rim[triangles[triangle]]).all(axis=1)
 
 
 def _nearest_agreeing(
