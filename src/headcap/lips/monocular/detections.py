@@ -22,13 +22,13 @@ from headcap.lips.monocular.problem import Features
 from headcap.lips.monocular.surface import FaceSurface
 
 _IBUG = {
-    "nose_bridge": 27, "nose_tip": 30, "subnasale": 33, "nose_wing_right": 31, "nose_wing_left": 35, "chin": 8,
+    "nose_bridge": 27, "nose_tip": 30, "subnasale": 33, "nose_wing_right": 31, "nose_wing_left": 35, "menton": 8,
     "eye_outer_right": 36, "eye_inner_right": 39, "eye_inner_left": 42, "eye_outer_left": 45,
     "mouth_corner_right": 48, "lip_upper_top": 51, "mouth_corner_left": 54, "lip_lower_bottom": 57,
     "mouth_upper": 62, "mouth_lower": 66,
 }  # fmt: skip
 _FACE_MESH = {
-    "nose_bridge": 168, "nose_tip": 1, "subnasale": 2, "nose_wing_right": 98, "nose_wing_left": 327, "chin": 152,
+    "nose_bridge": 168, "nose_tip": 1, "subnasale": 2, "nose_wing_right": 98, "nose_wing_left": 327, "menton": 152,
     "eye_outer_right": 33, "eye_inner_right": 133, "eye_inner_left": 362, "eye_outer_left": 263,
     "eye_top_right": 159, "eye_bottom_right": 145, "eye_top_left": 386, "eye_bottom_left": 374,
     "mouth_corner_right": 61, "lip_upper_top": 0, "mouth_corner_left": 291, "lip_lower_bottom": 17,
