@@ -89,6 +89,8 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_lip_label_commands(add)
 
+    _add_lip_errors(add)
+
     schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
     schema.add_argument("--folder", type=Path, default=Path("config/schema"))
     mode = schema.add_mutually_exclusive_group(required=True)
@@ -128,6 +130,18 @@ def _add_lip_label_commands(add: Callable[..., argparse.ArgumentParser]) -> None
 
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in text.split(","))
+
+
+def _add_lip_errors(add: Callable[..., argparse.ArgumentParser]) -> None:
+    """`lip-errors`."""
+    errors = add("lip-errors", _lip_errors, "Errors of what `headcap lips` made of a video, against true meshes of any topology.")
+    errors.add_argument("results", type=Path, help="folder that headcap lips wrote")
+    errors.add_argument("--regressor", type=Path, required=True, help="lips.npz that it was given")
+    errors.add_argument(
+        "--truth", type=Path, required=True, help="sequence.json, one mesh per frame, or a truth folder's take .npz"
+    )
+    errors.add_argument("--template", type=Path, help="triangles, landmarks and face at rest of a sequence.json")
+    errors.add_argument("--camera-name", help="which of a truth folder's cameras took the video (default: the one tracked)")
 
 
 def _add_neck_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
@@ -318,6 +332,14 @@ def _adapt_labels(options: argparse.Namespace) -> int:
 def _print_written(lines: Sequence[str], out: Path) -> int:
     for line in (*lines, f"wrote {out}"):
         print(line)
+    return 0
+
+
+def _lip_errors(options: argparse.Namespace) -> int:
+    from headcap.workflow.lip_truth import TruthRequest, judge_lips
+
+    request = TruthRequest(options.results, options.regressor, options.truth, options.template, options.camera_name)
+    print("\n".join(judge_lips(request)[1]))
     return 0
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
 from headcap.geometry.transforms import rigid
+from headcap.lips.monocular.detections import SCHEMES
 
 _INTERPOLATION_FRAMES = 4
 
@@ -126,6 +127,14 @@ class Truth:
     def triangles(self) -> NDArray[np.int32]:
         """(m, 3) of the true surface."""
         return self._topology["faces"]
+
+    @property
+    def landmarks(self) -> dict[str, int]:
+        """Named vertices of the true surface: by the folder's own names, else those of the iBUG scheme's 68."""
+        points = self._topology["landmarks68"].tolist()
+        if "landmark_names" in self._topology:
+            return dict(zip(self._topology["landmark_names"].tolist(), points, strict=True))
+        return {name: points[at] for name, at in SCHEMES[len(points)].items()}
 
     @property
     def inner_lip_middle(self) -> tuple[int, int]:
