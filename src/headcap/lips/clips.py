@@ -12,12 +12,16 @@ from numpy.typing import NDArray
 from headcap.calibration.result import load_camera
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
+from headcap.geometry.transforms import fit_similarity
+from headcap.heads.procedural import base_head
 from headcap.meshes.normals import vertex_normals
 from headcap.recordings.takes import IngestedTake
 from headcap.recordings.video import Image, VideoFrames
 from headcap.registration.template import Template
 from headcap.sync.offsets import TimeOffsets
 from headcap.sync.timeline import TakeTimeline, open_take
+
+_LEAST_LANDMARKS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +111,21 @@ class ClipFiles:
 
 
 def frontal_camera(rig: Rig, start: Template) -> str:
-    """Name of the camera that looks most nearly along the face's mean normal at a head in the rig's world.
+    """Name of the camera that looks most nearly straight at a head in the rig's world.
 
-    The paper takes "one of the frontal cameras" (section 3.2).
+    The paper takes "one of the frontal cameras" (section 3.2). Which way a head faces its landmarks tell, laid on those of the
+    base head; where fewer than four have the same names, the mean normal of the face, which the chin's underside bends down.
     """
-    face = start.regions["face"]
-    middle = start.vertices[face].mean(axis=0)
-    out = vertex_normals(start.vertices, start.triangles)[face].mean(axis=0)
+    middle, out = start.vertices[start.regions["face"]].mean(axis=0), _facing(start)
     ways = {camera.name: camera.centre - middle for camera in rig}
     return max(ways, key=lambda name: float(ways[name] @ out / np.linalg.norm(ways[name])))
+
+
+def _facing(start: Template) -> NDArray[np.float64]:
+    """(3,) out of a head's face."""
+    base = base_head()
+    names = [name for name in base.landmarks if name in start.landmarks]
+    if len(names) < _LEAST_LANDMARKS:
+        return vertex_normals(start.vertices, start.triangles)[start.regions["face"]].mean(axis=0)
+    own, theirs = (head.vertices[[head.landmarks[name] for name in names]] for head in (base, start))
+    return fit_similarity(own, theirs)[0][:3, 2]

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from headcap.calibration.result import load_camera, save_cameras
+from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
-from headcap.geometry.transforms import from_vector, transform
-from headcap.heads import procedural_model
+from headcap.geometry.transforms import from_vector, rigid, transform
+from headcap.heads import base_head, procedural_model
 from headcap.lips.artifact import LipRegressor
-from headcap.lips.clips import Clip
+from headcap.lips.clips import Clip, frontal_camera
 from headcap.lips.contours import ContourDetector, ContourSettings, SearchSettings, save_labels
 from headcap.lips.contours.detector import CONTOURS, PASSES
 from headcap.lips.correction import TrueNeutral
@@ -203,6 +204,27 @@ def test_cameras_come_back_and_are_asked_for_by_name(stage, tmp_path):
     assert np.array_equal(load_camera(tmp_path / "both.json", "left").matrix, stage.camera.matrix)
     with pytest.raises(InputError, match="front, left"):
         load_camera(tmp_path / "both.json")
+
+
+def looking(name, yaw_deg, pitch_deg):
+    """A camera that sees the origin from so far to the left and above of its z axis."""
+    yaw, pitch = np.radians([yaw_deg, pitch_deg])
+    out = np.array([np.cos(pitch) * np.sin(yaw), np.sin(pitch), np.cos(pitch) * np.cos(yaw)])
+    right = np.cross([0.0, 1.0, 0.0], out) / np.cos(pitch)
+    turn = np.stack([right, -np.cross(out, right), -out])
+    return Camera(name, 64, 64, np.diag([99.0, 99.0, 1.0]), np.zeros(5), rigid(turn, [0.0, 0.0, 0.9]))
+
+
+def test_the_frontal_camera_looks_straight_at_the_face_and_not_up_at_the_chin():
+    head = base_head()
+    cameras = Rig((looking("below", 0, -22), looking("level", -14, 7), looking("side", 35, 0)))
+    middle = -head.vertices[head.regions["face"]].mean(axis=0)
+    assert frontal_camera(cameras, head.with_vertices(head.vertices + middle)) == "level"
+    turned = from_vector(np.array([0.0, np.radians(30.0), 0.0, 0.0, 0.0, 0.0]))
+    assert frontal_camera(cameras, head.with_vertices(transform(turned, head.vertices + middle))) == "side"
+    # a head whose landmarks have other names is judged by its normals
+    unnamed = replace(head.with_vertices(transform(turned, head.vertices + middle)), landmarks={})
+    assert frontal_camera(cameras, unnamed) == "side"
 
 
 def test_regressors_of_one_person_and_of_several():
