@@ -2,8 +2,8 @@
 
     python tests/bench/talking_faces.py LIPS.NPZ [CLIP ...]
 
-With a study's kit it prints the table; started by `run.py` it takes the demo's, and writes nothing where there is none. Words and
-their times (`talking_faces_words`) were read off spectrograms of the sound, bursts to 0.01 s, without looking at the pictures: a
+With a study's kit it prints the table; started by `run.py` it takes the demo's, and says so where there is none. Words and their
+times (`talking_faces_words`) were read off spectrograms of the sound, bursts to 0.01 s, without looking at the pictures: a
 stop begins where the sound before it ends, one at the very start 0.06 s before its burst.
 """
 
@@ -33,7 +33,7 @@ def run(out_path: Path, kit: Path = KIT, names: tuple[str, ...] = CLIPS, folder:
     data = Path(os.environ.get("HEADCAP_TEST_DATA", HERE.parents[2] / "shared/data")) / "talking_faces"
     missing = [path for path in (kit, data) if not path.exists()]
     if missing:
-        print(f"skipped: there is no {missing[0]}")
+        write(out_path, ours={"name": f"skipped, for there is no {missing[0]}:", "seconds": 0.0, "cpu_seconds": 0.0})
         return
     with tempfile.TemporaryDirectory() as temporary:
         out = folder or Path(temporary)

@@ -98,6 +98,8 @@ def test_a_single_video_is_corrected_by_the_studys_kit(finished: Path, capsys: p
     kit, video = finished / "results/mouths/train_lips/lips.npz", finished / "results/karl/rehearse_meshes/lips_01.mp4"
     assert main(["lips", str(video), "--regressor", str(kit), "--out", str(finished / "single")]) == 0
     assert "of 10 frames corrected" in capsys.readouterr().out
+    made = {path.name for path in (finished / "single").iterdir()}
+    assert {"track.npz", "camera.json", "contours.npz", "side_by_side.mp4", "overlay.mp4", "lips.html", "metrics.json"} <= made
     sequence = MeshSequence.load(finished / "single/corrected.json")
     meshes = sequence.positions()
     answered = np.isfinite(meshes).all(axis=(1, 2))
