@@ -7,12 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from headcap.artifacts import Manifest, manifest_path
 from headcap.evaluation.lip_clip import LipClip
 from headcap.evaluation.lip_clips import clip_figures, closure_totals
 from headcap.evaluation.lip_closures import WITHIN_S, ClosureTest
 from headcap.evaluation.metrics import Figure
+from headcap.recordings.video import VideoFrames
 from headcap.report.lip_clip_figures import clip_curves, told_frames
+from headcap.report.overlays import jpeg_uri
 from headcap.report.page import Shown, drawing, write_page
 from headcap.report.provenance import versions
 
@@ -51,6 +55,8 @@ class ClipStory:
     curves: Shown
     video: str
     """Data URI."""
+    poster: str
+    """Of a frame of it: the first closure, or one half through."""
     lost: str
     found_again: str
     uncorrected: str
@@ -88,11 +94,19 @@ def _story(clip: LipClip, files: ClipFiles) -> ClipStory:
         {figure.name: figure for figure in clip_figures([clip])},
         drawing(clip_curves(clip), "Dots: least gaps within 0.12 s; red: the face was lost; grey: lips not corrected"),
         "data:video/mp4;base64," + base64.b64encode(files.overlay.read_bytes()).decode(),
+        _poster(clip, files.overlay),
         told_frames(clip.lost),
         told_frames(clip.found_again),
         told_frames(clip.uncorrected),
         _rows(clip, [clip.closure_test(method) for method in clip.methods]),
     )
+
+
+def _poster(clip: LipClip, overlay: Path) -> str:
+    moment = clip.closures[0].time_s if clip.closures else clip.time_s[len(clip) // 2]
+    with VideoFrames(overlay) as frames:
+        nearest = int(np.abs(frames.times_s - frames.times_s[0] - (moment - clip.time_s[0])).argmin())
+        return jpeg_uri(frames[nearest][..., ::-1])
 
 
 def _rows(clip: LipClip, tests: Sequence[ClosureTest | None]) -> tuple[ClosureRow, ...]:

@@ -4,12 +4,14 @@ import base64
 import re
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from headcap.evaluation.lip_clip import CORRECTED, LipClip
 from headcap.evaluation.lip_errors import BASE
 from headcap.lips.monocular import FrameState
+from headcap.recordings.writer import write_video
 from headcap.report.lip_clip import ClipFiles, write_clip_report
 from headcap.report.lip_clip_figures import clip_curves, told_frames
 from headcap.speech.words import Word
@@ -40,7 +42,8 @@ def clip() -> LipClip:
 def files(clip, folder) -> ClipFiles:
     folder.mkdir()
     clip.save(folder / "clip.npz")
-    (folder / "overlay.mp4").write_bytes(b"moving pictures of " + clip.name.encode())
+    shades = (np.full((32, 64, 3), 3 * k, np.uint8) for k in range(FRAMES))
+    write_video(folder / "overlay.mp4", enumerate(shades), (64, 32), 25.0)
     return ClipFiles(folder / "clip.npz", folder / "overlay.mp4", folder / "corrected.json")
 
 
@@ -66,7 +69,11 @@ def test_the_page_holds_every_clip_and_what_has_no_answer(clip, tmp_path):
     write_clip_report(both, {"wall": "no face in 20 frames"}, {"regressor": "lips.npz"}, tmp_path / "lips.html")
     page = (tmp_path / "lips.html").read_text()
     videos = re.findall(r'<video[^>]*src="data:video/mp4;base64,([^"]+)"', page)
-    assert [base64.b64decode(video) for video in videos] == [b"moving pictures of anna", b"moving pictures of <ben>"]
+    assert [base64.b64decode(video) for video in videos] == [each.overlay.read_bytes() for each in both]
+    posters = re.findall(r'<video[^>]*poster="data:image/jpeg;base64,([^"]+)"', page)
+    shown = [cv2.imdecode(np.frombuffer(base64.b64decode(poster), np.uint8), cv2.IMREAD_COLOR).mean() / 3 for poster in posters]
+    # the first closure at 0.43 s, and the middle of a clip without words; codes of a video err by one or two
+    assert np.abs(np.array(shown) - [0.43 * 25, FRAMES / 2]).max() < 1.5
     # nothing is fetched, and videos within the page may play
     assert "media-src data:" in page
     assert "http" not in page.replace('<meta http-equiv="', "")
