@@ -49,7 +49,10 @@ def read_words(path: Path | str) -> tuple[Word, ...]:
     count from the video's first frame. Raises `InputError` for other lines and for words that end before they begin or overlap.
     """
     path = Path(path)
-    lines = [line.split(maxsplit=2) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    try:
+        lines = [line.split(maxsplit=2) for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+    except UnicodeDecodeError:
+        raise _refused(f"{path.name} is no text", "lines in UTF-8") from None
     for number, parts in enumerate(lines, 1):
         if len(parts) < 2 or not all(_is_number(part) for part in parts[:2]):
             raise _refused(f"{path.name}, line {number}: {' '.join(parts)}", "start, end and a word")

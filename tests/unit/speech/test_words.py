@@ -1,8 +1,13 @@
 """Transcripts with times: both kinds of file, what is no transcript, and when words shut the lips."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from headcap.errors import InputError
+from headcap.recordings.audio import read_audio
 from headcap.speech.words import HOLD_S, Word, closed_letters, lip_closures, read_words
 
 
@@ -37,6 +42,12 @@ def test_decimal_points_are_seconds(tmp_path):
 def test_what_is_no_transcript_is_refused(tmp_path, text, told):
     with pytest.raises(InputError, match=told):
         read_words(written(tmp_path, text))
+
+
+def test_what_is_no_text_is_refused(tmp_path):
+    (tmp_path / "said.align").write_bytes(b"\xff\xfe\x00bin")
+    with pytest.raises(InputError, match="no text"):
+        read_words(tmp_path / "said.align")
 
 
 def test_the_words_of_the_grid_corpus_shut_the_lips_where_they_begin():
@@ -74,3 +85,23 @@ def test_a_closure_is_held_within_its_word():
     assert [closure.time_s for closure in closures] == pytest.approx([0.95 + HOLD_S / 2, 1.5 - HOLD_S / 2, 2.2, 3.02])
     # a word shorter than a closure has it in its middle
     assert closures[-1].word == "b"
+
+
+WORDS = Path(__file__).parents[2] / "bench/talking_faces_words"
+
+
+@pytest.mark.real
+@pytest.mark.parametrize("path", sorted(WORDS.glob("*.align")), ids=lambda path: path.stem)
+def test_the_words_of_the_talking_faces_fit_their_sound(path, test_data):
+    """What was read off the sound: clips say what their names spell, and lips that are shut let nothing above the voice out."""
+    words = read_words(path)
+    initials = {"zero": "z", "one": "1", "two": "2", "three": "3", "four": "4", "five": "5", "six": "6", "seven": "7"}
+    assert "".join(initials.get(word.text, word.text[0]) for word in words) == path.stem
+    samples, rate_hz, start_s = read_audio(test_data / f"talking_faces/{path.stem}.mpg", 16_000)
+    bright = sosfiltfilt(butter(4, 800, "high", fs=rate_hz, output="sos"), samples) ** 2
+    power = np.convolve(bright, np.full(rate_hz // 100, 100 / rate_hz), mode="same")
+    for closure in lip_closures(words):
+        word = next(word for word in words if word.start_s <= closure.time_s <= word.end_s)
+        first, at, last = (round((moment - start_s) * rate_hz) for moment in (word.start_s, closure.time_s, word.end_s))
+        # within 20 ms of its middle a stop is 20 dB below its vowel at least
+        assert 10 * np.log10(power[first:last].max() / power[at - rate_hz // 50 : at + rate_hz // 50].min()) > 20
