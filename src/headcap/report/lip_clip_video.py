@@ -114,12 +114,15 @@ def write_overlay(path: Path | str, clip: Clip, corrected: CorrectedClip, video:
         yield int(slots[0]), first
         yield from zip(slots[1:].tolist(), frames, strict=True)
 
-    sound = None if video is None else _sound(video, clip.time_s)
+    sound = None if video is None else sound_of_frames(video, clip.time_s)
     write_video(path, numbered(), size, rate_hz, crf=_CRF, sound=sound, sound_rate_hz=_SOUND_HZ)
 
 
-def _sound(video: Path, time_s: NDArray) -> NDArray[np.float32] | None:
-    """Samples from the first frame to the last, silence where the file has none; None for a silent file."""
+def sound_of_frames(video: Path | str, time_s: NDArray) -> NDArray[np.float32] | None:
+    """Samples (n,) at 48 kHz from the first of frames at `time_s` (f,) to the last, silence where there are none.
+
+    None for a video without sound, or with sound that does not decode.
+    """
     try:
         samples, rate_hz, start_s = read_audio(video, _SOUND_HZ)
     except InputError:

@@ -14,6 +14,7 @@ from headcap.lips.monocular import FrameState
 from headcap.recordings.writer import write_video
 from headcap.report.lip_clip import ClipFiles, write_clip_report
 from headcap.report.lip_clip_figures import clip_curves, told_frames
+from headcap.report.lip_clip_video import sound_of_frames
 from headcap.speech.words import Word
 
 FRAMES = 60
@@ -96,3 +97,18 @@ def test_closures_stand_beside_chance(clip, tmp_path):
 def test_without_words_nothing_is_said_of_closures(clip, tmp_path):
     write_clip_report([files(replace(clip, words=()), tmp_path / "anna")], {}, {}, tmp_path / "lips.html")
     assert "by chance" not in (tmp_path / "lips.html").read_text()
+
+
+def test_sound_is_cut_to_the_frames_and_silence_fills_what_is_missing(tmp_path):
+    """A click at 0.5 s stays where it is, whichever frames are shown."""
+    samples = np.zeros(48_000, np.float32)
+    samples[24_000:24_048] = 0.8
+    black = np.zeros((32, 32, 3), np.uint8)
+    write_video(tmp_path / "click.mp4", ((k, black) for k in range(25)), (32, 32), 25.0, sound=samples)
+    for first_s, last_s in ((0.0, 0.96), (0.4, 0.8), (-0.2, 1.4)):
+        heard = sound_of_frames(tmp_path / "click.mp4", np.array([first_s, last_s]))
+        assert len(heard) == round((last_s - first_s) * 48_000) + 1
+        # a coder of sound smears a click over some hundred samples
+        assert np.abs(heard).argmax() / 48_000 == pytest.approx(0.5 - first_s, abs=0.005)
+    write_video(tmp_path / "silent.mp4", ((k, black) for k in range(3)), (32, 32), 25.0)
+    assert sound_of_frames(tmp_path / "silent.mp4", np.array([0.0, 0.08])) is None
