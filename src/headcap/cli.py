@@ -83,6 +83,10 @@ def _parser() -> argparse.ArgumentParser:
         help="what is said: lines `start end word` in seconds or 1/25000 s, named as the video where there are several "
         "(default: the .align beside each video, where there is one)",
     )
+    lips.add_argument("--base-track", type=Path, help="of another tracker, in the place of our own: see the guide, with --camera")
+    lips.add_argument("--base-flame", type=Path, help="the FLAME model of a --base-track of FLAME parameters")
+    lips.add_argument("--base-neutral", type=Path, help="the person at rest in the topology of a --base-track of meshes")
+    lips.add_argument("--base-landmarks", type=Path, help="vertex numbers of --base-neutral by landmark name, JSON")
     lips.add_argument(
         "--out", type=Path, required=True, help="folder to write, lips.html in it; one in it for each of several videos"
     )
@@ -297,6 +301,8 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _lips(options: argparse.Namespace) -> int:
+    if options.base_track is not None:
+        return _lips_of_base_track(options)
     from headcap.workflow.lips import correct_videos, lip_requests
 
     given = (options.camera, options.camera_name, options.detections, options.align or (), options.person)
@@ -307,6 +313,14 @@ def _lips(options: argparse.Namespace) -> int:
         print(f"headcap: {name}: {why}", file=sys.stderr)
     print(f"wrote {options.out}")
     return 1 if answer.failures else 0
+
+
+def _lips_of_base_track(options: argparse.Namespace) -> int:
+    from headcap.workflow.lip_base_track import BaseTrackFiles, correct_base_track
+
+    files = BaseTrackFiles(options.base_track, options.base_flame, options.base_neutral, options.base_landmarks)
+    camera = (options.camera, options.camera_name)
+    return _print_written(correct_base_track(options.videos, options.regressor, files, *camera, options.out), options.out)
 
 
 def _begin_labels(options: argparse.Namespace) -> int:

@@ -15,7 +15,8 @@ from headcap.heads import HeadModel
 from headcap.lips.artifact import LipRegressor
 from headcap.lips.clips import Clip
 from headcap.lips.contours import ContourDetector, ContourFinder, ContourSequence, MouthLocator, SearchSettings, find_contours
-from headcap.lips.monocular import MonocularSettings, MonocularTrack
+from headcap.lips.foreign_tracks import BaseTrack
+from headcap.lips.monocular import MonocularSettings
 from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.lips.training import regressed
 
@@ -59,8 +60,8 @@ class LipKit:
         """Finds contours in pictures of which a base track is known."""
         return ContourFinder(self.detector, MouthLocator.of(self.space.mouth, self.space.features), self.search)
 
-    def correct(self, clip: Clip, track: MonocularTrack) -> CorrectedClip:
-        """Find contours and correct a clip that was tracked with this kit's head model.
+    def correct(self, clip: Clip, track: BaseTrack) -> CorrectedClip:
+        """Find contours and correct a clip that was tracked with this kit's head model, by our base tracker or another.
 
         Frames that the base tracker lost, or whose contours were not found, are NaN and never made up. Raises `InputError` for a
         track of another head model and a clip in which no frame shows both contours.

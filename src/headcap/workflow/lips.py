@@ -134,7 +134,8 @@ def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) 
     seen = replace(clip, camera=load_camera(camera_path))
     corrected = kit.correct(seen, track)
     corrected.contours.save(folder / "contours.npz")
-    _save_meshes(folder, kit, track, corrected, request)
+    given = (request.video, request.kit, request.camera, request.detections, request.person, request.words)
+    save_corrected(folder, clip, kit, corrected, [path for path in given if path is not None], request.camera_name)
     sequences = {BASE: corrected.take.base.world(corrected.take.base.meshes), "GR": corrected.meshes}
     mouth = corrected.take.space.mouth.vertices
     write_clip_side_by_side(folder / "side_by_side.mp4", seen, kit.head.triangles, sequences, mouth)
@@ -164,18 +165,20 @@ def _clip(request: LipRequest) -> Clip:
     return replace(video_clip(request.video, unknown_camera(width, height)), focal_known=False)
 
 
-def _save_meshes(folder: Path, kit: LipKit, track: MonocularTrack, corrected: CorrectedClip, request: LipRequest) -> None:
+def save_corrected(
+    folder: Path, clip: Clip, kit: LipKit, corrected: CorrectedClip, inputs: Sequence[Path], camera_name: str | None = None
+) -> None:
+    """Write corrected meshes, `corrected.json`, `.npy` and `.template.npz`; the take is called as the first of the inputs."""
     sequence, positions = folder / "corrected.json", folder / "corrected.npy"
     save_chunk(positions, corrected.meshes)
-    MeshSequence(request.video.stem, track.time_s, (positions,)).save(sequence)
+    MeshSequence(inputs[0].stem, clip.time_s, (positions,)).save(sequence)
     _template(kit, corrected).save(folder / "corrected.template.npz")
-    given = (request.video, request.kit, request.camera, request.detections, request.person, request.words)
     write_manifest(
         sequence,
         kind="mesh_sequence",
         stage="lips",
-        settings_digest=digest_settings(camera=request.camera_name),
-        inputs=[path for path in given if path is not None],
+        settings_digest=digest_settings(camera=camera_name),
+        inputs=list(inputs),
         figures={"lips.answered": float(corrected.answered.mean())},
     )
 

@@ -190,3 +190,16 @@ def test_what_does_not_fit_is_told(folder, capsys):
         assert main(arguments) == 1
         assert message in capsys.readouterr().err
     assert not (folder / "x.json").exists()
+
+
+def test_another_tracker_s_meshes_need_their_camera_and_show_in_it(folder, capsys):
+    given = ["lips", folder / "clip.mp4", "--regressor", folder / "lips.npz", "--base-track", folder / "aside.npy"]
+    given = [str(word) for word in (*given, "--out", folder / "x")]
+    assert main(given) == 1
+    assert "1 videos and no camera; expected one video, and --camera" in capsys.readouterr().err
+    kit = LipKit.load(folder / "lips.npz")
+    aside = np.asarray(kit.head.vertices)[None].repeat(FRAMES, axis=0) + np.array([9.0, 0, 0])
+    np.save(folder / "aside.npy", aside)
+    assert main([*given, "--camera", str(folder / "tracked" / "camera.json")]) == 1
+    assert "in no frame does the mouth lie in the picture" in capsys.readouterr().err
+    assert not (folder / "x").exists()

@@ -1,0 +1,197 @@
+"""Base tracks as files of any tracker's: which kind a file is, and what ties it to the head model (lip paper, section 3.2)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.artifacts import ArtifactError
+from headcap.errors import InputError
+from headcap.geometry.transforms import fit_rigid, transform
+from headcap.heads import FlameSettings, HeadModel, load_flame
+from headcap.lips.correspondence import NeutralFace, correspond
+from headcap.lips.foreign_tracks import BaseTrack, MeshTrack, load_flame_track, mesh_track
+from headcap.lips.monocular import MonocularTrack
+from headcap.lips.mouth import Mouth
+from headcap.registration.sequence import MeshSequence
+from headcap.registration.template import Template
+
+_SKIN, _NO_SKIN = ("face", "lips_outer", "lips_inner"), ("eyes", "mouth_interior")
+
+
+@dataclass(frozen=True)
+class BaseTrackFiles:
+    """What another tracker left of a video."""
+
+    track: Path
+    """.npz of `headcap lips` or of FLAME parameters; .json of a mesh sequence, or .npy (f, N, 3), metres."""
+    flame: Path | None = None
+    """The FLAME model of the parameters."""
+    neutral: Path | None = None
+    """The person at rest, upright, in the sequence's topology: template .npz, .ply or .obj in metres."""
+    landmarks: Path | None = None
+    """JSON of vertex numbers of that mesh by the head model's landmark names, where its file names none."""
+
+    @property
+    def given(self) -> list[Path]:
+        """The files that there are."""
+        return [path for path in (self.track, self.flame, self.neutral, self.landmarks) if path is not None]
+
+
+@dataclass(frozen=True)
+class _Person:
+    """A neutral mesh in another topology than the head model's."""
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    landmarks: dict[str, int] = field(default_factory=dict)
+    regions: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+
+    def face(self) -> NeutralFace:
+        """As `correspond` takes it."""
+        points = {name: self.vertices[vertex] for name, vertex in self.landmarks.items()}
+        return NeutralFace(self.vertices, self.triangles, points, _skin(self.regions))
+
+
+def load_base_track(
+    files: BaseTrackFiles, model: HeadModel, mouth: Mouth, time_s: NDArray, flame_settings: FlameSettings | None = None
+) -> BaseTrack:
+    """A base track of the head model for the frames of a video at `time_s` (f,); `flame_settings` say what is kept of FLAME.
+
+    FLAME parameters of the very FLAME model that the head model was made of are evaluated as they are. Those of another head, and
+    meshes of another topology, are tied to the model's vertices, which are laid onto the person at rest by landmarks that both
+    name and Laplacian registration (`correspond`, section 4.1). Meshes in the model's topology need no neutral mesh: the first
+    frame with an answer, as the paper has it (section 4.2), brought upright by what expressions leave alone. Raises `InputError`
+    for files that are none of these, another number of frames than the video's, and as `load_flame_track`, `mesh_track` and
+    `correspond`; `ArtifactError`.
+    """
+    path = files.track
+    if path.suffix == ".npz":
+        track = _of_parameters(files, model, time_s, flame_settings)
+    elif path.suffix in (".json", ".npy"):
+        meshes = _meshes(path)
+        _check_frames(path, len(meshes), len(time_s))
+        track = _of_meshes(files, meshes, model, mouth, time_s)
+    else:
+        raise InputError(f"{path.name} as a base track", expected="a file that ends in .npz, .json or .npy", remedy="Export one.")
+    _check_frames(path, len(track.time_s), len(time_s))
+    return track
+
+
+def _of_parameters(files: BaseTrackFiles, model: HeadModel, time_s: NDArray, settings: FlameSettings | None) -> BaseTrack:
+    if files.flame is None:
+        try:
+            return MonocularTrack.load(files.track)
+        except ArtifactError as error:
+            raise InputError(
+                f"{files.track.name} without a FLAME model ({error})",
+                expected="a track of `headcap lips`, or FLAME parameters with --base-flame",
+                remedy="Name the FLAME model that the parameters are of.",
+            ) from error
+    flame = load_flame(files.flame, settings=settings)
+    track = load_flame_track(files.track, flame, files.flame, time_s, settings=settings)
+    if flame.digest == model.digest:
+        return track
+    person = _Person(track.neutral(flame), flame.triangles, dict(flame.landmarks), dict(flame.regions))
+    return _tied(person, np.array(list(track.meshes(flame))), model, time_s)
+
+
+def _of_meshes(files: BaseTrackFiles, meshes: NDArray, model: HeadModel, mouth: Mouth, time_s: NDArray) -> MeshTrack:
+    if files.neutral is not None:
+        person = _read_person(files)
+        if not np.array_equal(person.triangles, model.triangles):
+            return _tied(person, meshes, model, time_s)
+        return mesh_track(model, meshes, time_s, person.vertices)
+    if meshes.shape[1:] != model.vertices.shape:
+        raise InputError(
+            f"{files.track.name} of {meshes.shape[1]} vertices",
+            expected=f"the {len(model.vertices)} of {model.name}, or the person at rest in the sequence's topology",
+            remedy="Give --base-neutral, a mesh of the same vertices, upright and in metres.",
+        )
+    known = np.flatnonzero(np.isfinite(meshes).all(axis=(1, 2)))
+    if not len(known):
+        raise InputError(f"{files.track.name} without a finite mesh", expected="one at least", remedy="Export it again.")
+    first, held = np.asarray(meshes[known[0]], float), mouth.steady
+    upright = fit_rigid(first[held], np.asarray(model.vertices, float)[held])
+    return mesh_track(model, meshes, time_s, transform(upright, first))
+
+
+def _tied(person: _Person, meshes: NDArray, model: HeadModel, time_s: NDArray) -> MeshTrack:
+    """Meshes (f, N, 3) of a person's topology as a track of the head model."""
+    vertices = np.asarray(model.vertices, float)
+    own = _Person(vertices, model.triangles, dict(model.landmarks), dict(model.regions)).face()
+    registered = correspond(own, person.face()).registered
+    return mesh_track(model, meshes, time_s, person.vertices, person.triangles, registered)
+
+
+def _read_person(files: BaseTrackFiles) -> _Person:
+    path = files.neutral
+    if path.suffix == ".npz":
+        known = Template.load(path)
+        return _Person(known.vertices, known.triangles, dict(known.landmarks), dict(known.regions))
+    vertices, triangles = _read_mesh(path)
+    landmarks = {} if files.landmarks is None else _read_landmarks(files.landmarks, len(vertices))
+    return _Person(vertices, triangles, landmarks)
+
+
+def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices (N, 3) in the file's order, nothing mended, and triangles (M, 3)."""
+    import trimesh
+
+    try:
+        mesh = trimesh.load(path, process=False, force="mesh", maintain_order=True)
+        vertices, triangles = np.array(mesh.vertices, float), np.array(mesh.faces, np.int32).reshape(-1, 3)
+    except Exception as error:
+        raise InputError(
+            f"{path} cannot be read ({error})", expected="a PLY or OBJ mesh, or a template .npz", remedy="Export it again."
+        ) from error
+    return vertices, triangles
+
+
+def _read_landmarks(path: Path, vertices: int) -> dict[str, int]:
+    try:
+        found = {str(name): int(vertex) for name, vertex in json.loads(path.read_text(encoding="utf-8")).items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path.name}: {error}", expected="vertex numbers by landmark name, JSON", remedy="See the guide for names."
+        ) from error
+    beyond = sorted(name for name, vertex in found.items() if not 0 <= vertex < vertices)
+    if beyond:
+        raise InputError(
+            f"{path.name}: {beyond[0]} is vertex {found[beyond[0]]}",
+            expected=f"0 to {vertices - 1}",
+            remedy="Count vertices from zero, as the neutral mesh has them.",
+        )
+    return found
+
+
+def _meshes(path: Path) -> NDArray:
+    """(f, N, 3), mapped where it is one file."""
+    try:
+        meshes = MeshSequence.load(path).positions() if path.suffix == ".json" else np.load(path, mmap_mode="r")
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path.name} cannot be read ({error})", expected="(f, N, 3) numbers", remedy="Export again.") from error
+    if meshes.ndim != 3 or meshes.shape[2] != 3 or meshes.dtype.kind != "f":
+        raise InputError(
+            f"{path.name} {meshes.shape} of {meshes.dtype}", expected="(f, N, 3) of floats, metres", remedy="Export it again."
+        )
+    return meshes
+
+
+def _check_frames(path: Path, found: int, wanted: int) -> None:
+    if found != wanted:
+        raise InputError(
+            f"{path.name} of {found} frames", expected=f"{wanted}, as the video", remedy="Export one row per frame of the video."
+        )
+
+
+def _skin(regions: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
+    """(n,) face and lips without eyes and the mouth's inside; None where regions do not name them."""
+    if not all(name in regions for name in _SKIN):
+        return None
+    inside = [regions[name] for name in _NO_SKIN if name in regions]
+    return np.any([regions[name] for name in _SKIN], axis=0) & ~np.any(inside, axis=0)
