@@ -58,7 +58,8 @@ def judge_person(
             take = person.takes[name]
             true = seen[name].parameters(take.neutral, take.true_meshes())
             sequences[name][plan.method] = seen[name].corrected(parameters, identity=regressor.identity).astype(np.float32)
-            layers[name][plan.method] = layer_error(parameters, true)
+            # of expression alone, which is what features tell: the constant part is in nobody's true layer
+            layers[name][plan.method] = layer_error(parameters - regressor.constant, true)
             if plan.method == "GR":
                 held = seen[name].corrected(parameters, HELD_WEIGHT, regressor.identity)
                 sequences[name]["GR reprojected"] = held.astype(np.float32)

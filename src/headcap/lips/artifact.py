@@ -17,6 +17,7 @@ from headcap.lips.correction import Identity
 from headcap.lips.features import FeatureSpace, LipFeatures
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
 from headcap.lips.regression import FeatureScaling, Network, RegressionSettings, TrainedRegression
+from headcap.lips.triangle_parameters import PARAMETERS
 
 KIND, SCHEMA = "lip_regressor", 1
 _SPACE = ("vertices", "basis", "border", "share", "eyes")
@@ -44,6 +45,8 @@ class LipRegressor:
     """How distances were taken, see `lip_features`."""
     space: FeatureSpace
     regression: TrainedRegression
+    identity_part: NDArray[np.float32] | None = None
+    """(T, 9) that every correction begins with, whatever the features: `training.common_identity`; None for none."""
 
     def relation(self, person: str) -> Literal["PS", "MS", "GR"]:
         """What it is for a person (section 6): specific to them, trained on several of whom they are one, or never seen them."""
@@ -73,7 +76,12 @@ class LipRegressor:
 
     def parameters(self, features: LipFeatures) -> NDArray[np.float32]:
         """l (f, T, 9) of frames' features (eq. 3); NaN for frames that tell none, which are not made up."""
-        return self.regression(features)
+        return self.regression(features) + self.constant
+
+    @property
+    def constant(self) -> NDArray[np.float32]:
+        """(T, 9) `identity_part`, zeros for none: what in a correction is no difference of expression."""
+        return np.zeros((len(self.layer), PARAMETERS), np.float32) if self.identity_part is None else self.identity_part
 
     def to_arrays(self) -> tuple[dict[str, NDArray], dict]:
         """Arrays and plain record that tell the regressor; `from_arrays` is the inverse."""
@@ -81,7 +89,8 @@ class LipRegressor:
         arrays = {f"space/{name}": getattr(self.space, name) for name in _SPACE}
         arrays |= {"layer": self.layer, "feature_mean": found.scaling.mean, "feature_scale": found.scaling.scale}
         arrays |= {"prototypes": found.network.prototypes, "weights": found.network.weights, "bias": found.network.bias}
-        arrays |= {"mean": found.mean} | ({} if found.components is None else {"components": found.components})
+        optional = {"components": found.components, "identity_part": self.identity_part}
+        arrays |= {"mean": found.mean} | {name: array for name, array in optional.items() if array is not None}
         meta = {
             name: getattr(self, name) for name in ("model_version", "topology", "identity", "anchored", "compensate_rotation")
         }
@@ -111,6 +120,7 @@ class LipRegressor:
             layer=arrays["layer"],
             space=FeatureSpace(*(arrays[f"space/{name}"] for name in _SPACE)),
             regression=regression,
+            identity_part=arrays.get("identity_part"),
             **meta,
         )
 

@@ -98,6 +98,11 @@ class SeenTake:
         """l_f of eq. 1 (f, T, 9) against true meshes (f, n, 3) with their neutral (n, 3)."""
         return self.layer().parameters(self.base.meshes, truth_neutral, truth)
 
+    def identity_difference(self, truth_neutral: NDArray | TrueNeutral) -> NDArray[np.float32]:
+        """D_0 of eq. 1 (T, 9), C_0 -> H_0: what the tracked neutral mouth lacks of the true one (n, 3), at the tracker's size."""
+        true = TrueNeutral.of(truth_neutral, self.space.mouth.steady)
+        return self.layer("corrected").parameters(self.neutral[None], true, true.vertices[None])[0]
+
     def known(self, truth_neutral: NDArray | TrueNeutral) -> SeenTake:
         """The same take of somebody whose true neutral head (n, 3) is known from the rig: D_0 of eq. 1 put in beforehand.
 

@@ -218,6 +218,19 @@ def test_a_regressor_survives_its_file(stage, people, regressor, tmp_path):
     assert [again.relation(person) for person in ("24", "21")] == ["GR", "MS"]
 
 
+def test_every_correction_begins_with_the_identity_part(stage, people, regressor, tmp_path, rng):
+    constant = rng.normal(size=(len(stage.mouth.layer), 9)).astype(np.float32)
+    replace(regressor, identity_part=constant).save(tmp_path / "lips.npz")
+    again = LipRegressor.load(tmp_path / "lips.npz", stage.model)
+    features = people["24"][0].take.features.frames(slice(0, 3))
+    features.distances[1] = np.nan
+    told = again.parameters(features)
+    assert np.isnan(told[1]).all()
+    assert np.array_equal(told[[0, 2]], regressor.parameters(features)[[0, 2]] + constant)
+    assert np.array_equal(again.constant, constant)
+    assert not regressor.constant.any()
+
+
 def test_another_topology_version_or_kind_is_refused(stage, regressor, tmp_path):
     path = tmp_path / "lips.npz"
     regressor.save(path)

@@ -27,6 +27,7 @@ from headcap.lips.training import (
     LipTrainingSettings,
     RegressorPlan,
     contour_examples,
+    common_identity,
     planned_regressors,
     regressed,
     spread_frames,
@@ -117,6 +118,49 @@ def test_a_person_who_is_known_leaves_the_layer_expressions_alone(seen):
     known = seen.known(true)
     layer = known.parameters(true, known.base.meshes)
     assert np.nanmax(np.abs(layer)) < 1e-5
+
+
+def pouting(seen, by_m):
+    """The take's neutral head (n, 3) with lips that stand out by so much; nothing moves at the mask's rim."""
+    mouth = seen.space.mouth
+    away = np.linalg.norm(seen.neutral - seen.neutral[mouth.outline].mean(axis=0), axis=1)
+    true = seen.neutral.copy()
+    inside = mouth.vertices
+    true[inside, 2] += by_m * np.exp(-0.5 * (away[inside] / 0.007) ** 2)
+    return true
+
+
+def test_the_identity_part_turns_the_tracked_neutral_mouth_into_the_true_one(seen):
+    """However large and wherever the true head is."""
+    true = pouting(seen, 0.003)
+    moved = transform(from_vector(np.array([0.3, -0.2, 0.1, 0.5, 0.1, -0.4])), 1.1 * true)
+    lacking = seen.identity_difference(moved)
+    corrected = seen.layer().corrected(seen.neutral[None], lacking[None])[0]
+    lips = seen.space.mouth.outline
+    # a Gaussian of 7 mm is 1e-3 where the correction begins to fade, 24 mm away; single precision is less
+    assert np.abs(corrected[lips] - true[lips]).max() < 0.02 * 0.003
+    assert np.abs(seen.identity_difference(1.2 * seen.neutral)).max() < 1e-6
+
+
+def person_of(name, seen, neutral):
+    return LipPerson(name, neutral, {"one": LipPersonTake("lips", seen, np.arange(FRAMES) / 10, None, np.arange(FRAMES))})
+
+
+def test_strangers_start_from_the_trackers_usual_fault_as_far_as_people_share_it(seen):
+    """All of it where everybody lacks the same, none where two people contradict each other or there is but one."""
+    faults = {"a": 0.002, "b": 0.002, "c": 0.002, "d": -0.002}
+    people = {name: person_of(name, seen, pouting(seen, fault)) for name, fault in faults.items()}
+    part, share = common_identity([people[name] for name in "abc"])
+    assert share == pytest.approx(1.0, abs=0.02)
+    np.testing.assert_allclose(part, share * seen.identity_difference(people["a"].neutral), atol=1e-6)
+    for others in ("ad", "a"):
+        part, share = common_identity([people[name] for name in others])
+        assert share == 0.0
+        assert not part.any()
+    several = [person_of(name, seen, pouting(seen, fault)) for name, fault in (("e", 0.001), ("f", 0.003))]
+    # u.v / v.v over both is (1 x 3 + 3 x 1) / (9 + 1)
+    assert common_identity(several)[1] == pytest.approx(0.6, abs=0.02)
+    assert common_identity(several, 0.25)[1] == 0.25
 
 
 def test_refuses_contours_of_another_clip(space, track, stage):
