@@ -26,8 +26,8 @@ from headcap.lips.takes import MouthSpace, SeenTake, resting_distances
 from headcap.lips.training import (
     LipTrainingSettings,
     RegressorPlan,
-    contour_examples,
     common_identity,
+    contour_examples,
     planned_regressors,
     regressed,
     spread_frames,
@@ -143,7 +143,9 @@ def test_the_identity_part_turns_the_tracked_neutral_mouth_into_the_true_one(see
 
 
 def person_of(name, seen, neutral):
-    return LipPerson(name, neutral, {"one": LipPersonTake("lips", seen, np.arange(FRAMES) / 10, None, np.arange(FRAMES))})
+    true = TrueNeutral.of(neutral, seen.space.mouth.steady)
+    take = LipPersonTake("lips", seen, np.arange(FRAMES) / 10, true, None, np.arange(FRAMES))
+    return LipPerson(name, neutral, {"one": take})
 
 
 def test_strangers_start_from_the_trackers_usual_fault_as_far_as_people_share_it(seen):
