@@ -182,7 +182,7 @@ def test_the_layer_is_recovered_where_albedo_and_light_are_known():
 
 
 def test_a_head_that_turns_tells_who_it_is(studio: Studio):
-    turns = [(0, 0), (0, 8), (0, 16), (0, 24), (0, 12), (0, 0), (0, -10), (0, -20), (8, -10), (14, 0)]
+    turns = [(0, 0), (0, 10), (0, 20), (6, 8), (10, -6), (4, -16)]
     facing, shift = studio.still.camera_from_head[:3, :3], studio.still.camera_from_head[:3, 3]
     moments = [
         Moment(np.zeros(30), 0.0, rigid(Rotation.from_euler("xy", turn, degrees=True).as_matrix() @ facing, shift))
@@ -201,8 +201,8 @@ def test_a_head_that_turns_tells_who_it_is(studio: Studio):
         placement, scale = fit_similarity(found[face], true[face])
         errors.append(1e3 * np.linalg.norm(transform(placement, scale * found) - true, axis=1)[face].mean())
     assert together.answered.all()
-    # a pixel across at 24 degrees is 1 / sin(24 degrees) = 2.5 pixels in depth, and places are followed to half of one
-    assert errors[1] < 1.25 * PIXEL_MM
+    # half a pixel, to which places are followed, is at 20 degrees 0.5 / sin(20 degrees) = 1.5 pixels in depth
+    assert errors[1] < 1.5 * PIXEL_MM
     assert errors[1] < 0.6 * errors[0]
 
 
