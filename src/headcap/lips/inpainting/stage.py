@@ -1,4 +1,9 @@
-"""A tattooed take of a rig, as one camera recorded it, to a recording of bare lips (section 3.2.1)."""
+"""A tattooed take of a rig, as one camera recorded it, to a recording of bare lips (section 3.2.1).
+
+Tattoos bias what one camera tells (section 3.2). Beside the same performance photographed without one, over 12 frames of a kiss:
+the base track about the mouth is 2.6 mm off (lips 2.0), after painting 0.8 mm (0.9); the outer lip contour is 1.7 px off, after
+painting 0.7, the inner one 0.6 and 0.3 px.
+"""
 
 from __future__ import annotations
 
