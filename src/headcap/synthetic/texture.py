@@ -25,8 +25,7 @@ _TATTOO_WAVELENGTH_MM = 10.0
 
 @dataclass(frozen=True)
 class Grain:
-    """Periodic noise volumes of unit variance, float32, indexed x, z, y: a face goes on furthest along y, and what lies side by
-    side in the picture then lies side by side in memory."""
+    """Periodic noise volumes of unit variance, float32."""
 
     coarse: NDArray[np.float32]
     """(96, 96, 96), 1.3 mm apart, one band of wavelengths about 10 mm: the shapes of tattoos."""
@@ -52,7 +51,7 @@ def _filtered_noise(random: np.random.Generator, cells: int, step_mm: float, gai
     k = np.fft.fftfreq(cells, step_mm)
     radius = np.sqrt(k[:, None, None] ** 2 + k[None, :, None] ** 2 + np.fft.rfftfreq(cells, step_mm)[None, None] ** 2)
     noise = scipy.fft.irfftn(spectrum * gain(radius).astype(np.float32), (cells, cells, cells))
-    return np.ascontiguousarray((noise / noise.std()).transpose(0, 2, 1), np.float32)
+    return np.ascontiguousarray(noise / noise.std(), np.float32)
 
 
 def smooth_noise(points_m: NDArray, random: np.random.Generator, wavelength_m: float, terms: int = 24) -> NDArray[np.float64]:
@@ -101,16 +100,16 @@ def _after(i, n):
 
 @njit(cache=True, fastmath=True)
 def lattice(volume, x, y, z):
-    """Trilinear value of a periodic volume at lattice coordinates; the volume is indexed x, z, y."""
+    """Trilinear value of a periodic volume at lattice coordinates."""
     n = volume.shape[0]
     fx, fy, fz = _floor(x), _floor(y), _floor(z)
     tx, ty, tz = np.float32(x - fx), np.float32(y - fy), np.float32(z - fz)
     i, j, k = _wrapped(fx, n), _wrapped(fy, n), _wrapped(fz, n)
     i1, j1, k1 = _after(i, n), _after(j, n), _after(k, n)
-    a = volume[i, k, j] + tz * (volume[i, k1, j] - volume[i, k, j])
-    b = volume[i, k, j1] + tz * (volume[i, k1, j1] - volume[i, k, j1])
-    c = volume[i1, k, j] + tz * (volume[i1, k1, j] - volume[i1, k, j])
-    d = volume[i1, k, j1] + tz * (volume[i1, k1, j1] - volume[i1, k, j1])
+    a = volume[i, j, k] + tz * (volume[i, j, k1] - volume[i, j, k])
+    b = volume[i, j1, k] + tz * (volume[i, j1, k1] - volume[i, j1, k])
+    c = volume[i1, j, k] + tz * (volume[i1, j, k1] - volume[i1, j, k])
+    d = volume[i1, j1, k] + tz * (volume[i1, j1, k1] - volume[i1, j1, k])
     a += ty * (b - a)
     c += ty * (d - c)
     return a + tx * (c - a)
