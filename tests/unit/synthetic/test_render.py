@@ -5,7 +5,7 @@ from headcap.cameras import Camera
 from headcap.synthetic.render import Surface, render_surface
 from headcap.synthetic.rig import looking_at
 from headcap.synthetic.sensor import Sensor, encode
-from headcap.synthetic.texture import EYE, make_grain
+from headcap.synthetic.texture import EYE, lattice, make_grain
 
 
 def _camera(distortion=(-0.12, 0.05, 0.001, -0.0007, 0.0)):
@@ -85,3 +85,16 @@ def test_noise_has_the_stated_size_and_comes_again():
     assert decoded.std() == pytest.approx(expected, rel=0.04)
     assert decoded.mean() == pytest.approx(0.4, rel=0.005)
     assert encode(np.array([0.0, 1.0])).tolist() == [0, 255]
+
+
+def test_noise_repeats_itself_in_all_directions():
+    from scipy.ndimage import map_coordinates
+
+    random = np.random.default_rng(3)
+    volume = random.standard_normal((6, 6, 6)).astype(np.float32)
+    # far off on either side, and on the very borders of periods, where a wrong wrap shows
+    places = np.concatenate([random.uniform(-200, 200, (300, 3)), random.integers(-5, 5, (60, 3)) * 6.0])
+    expected = map_coordinates(volume.astype(float), places.T, order=1, mode="grid-wrap")
+    found = [lattice(volume, *place) for place in places]
+    # three blends, each rounded to float32 of values within a few units
+    assert np.abs(np.array(found) - expected).max() < 8 * np.finfo(np.float32).eps * np.abs(volume).max()
