@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,16 +142,19 @@ def judge_against(
     *,
     person: str,
     take: str,
+    knowing: Collection[str] = (),
 ) -> LipErrors:
     """Errors of a clip's base track and of what was made of it, meshes (f, n, 3) by method in the camera's world.
 
-    Raises `InputError` as `correspondence_of` and `compare_lips`.
+    Methods `knowing` the true head at rest are aligned by it. Raises `InputError` as `correspondence_of` and `compare_lips`.
     """
     tie = correspondence_of(space.model, space.mouth, seen.neutral, true)
     sections = LipSections.of(np.asarray(space.model.vertices, float), space.mouth, space.model.regions)
     reference = LipReference(space.mouth, sections, seen.neutral, tie.carry(true.neutral))
     sequences = {BASE: seen.base.world(seen.base.meshes), **corrected}
-    return compare_lips(reference, carried_meshes(tie, true, len(seen)), sequences, time_s, person=person, take=take)
+    return compare_lips(
+        reference, carried_meshes(tie, true, len(seen)), sequences, time_s, person=person, take=take, knowing=knowing
+    )
 
 
 def _lip_middles(model: HeadModel, mouth: Mouth) -> dict[str, int]:

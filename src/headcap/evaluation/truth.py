@@ -129,9 +129,14 @@ class Truth:
         return self._topology["faces"]
 
     @property
+    def landmark_points(self) -> NDArray[np.int64]:
+        """(k,) vertices of all landmarks, in the folder's order; without names the 68 of the iBUG scheme."""
+        return self._topology["landmarks68"]
+
+    @property
     def landmarks(self) -> dict[str, int]:
         """Named vertices of the true surface: by the folder's own names, else those of the iBUG scheme's 68."""
-        points = self._topology["landmarks68"].tolist()
+        points = self.landmark_points.tolist()
         if "landmark_names" in self._topology:
             return dict(zip(self._topology["landmark_names"].tolist(), points, strict=True))
         return {name: points[at] for name, at in SCHEMES[len(points)].items()}
