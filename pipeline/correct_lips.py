@@ -4,6 +4,7 @@ from pathlib import Path
 
 from headcap.artifacts import digest_settings, write_manifest
 from headcap.evaluation.lips_person import JudgedTake, judge_person
+from headcap.evaluation.lips_study import DELIVERED
 from headcap.heads import HeadModel
 from headcap.lips.artifact import LipRegressor
 from headcap.lips.people import LipPersonFiles
@@ -34,7 +35,7 @@ def run(
     loaded = person.load(space)
     pairs = [(plan, LipRegressor.load(path, space.model)) for plan, path in zip(plans, regressors, strict=True)]
     judged = judge_person(space, loaded, pairs, tested, learnt_from=learnt_from)
-    method = plans[0].method
+    method = DELIVERED if plans[0].relation == "GR" else plans[0].method
     for (name, take), to, sequence in zip(judged.items(), errors, sequences, strict=True):
         take.errors.save(to)
         _save_sequence(sequence, name, take, method)

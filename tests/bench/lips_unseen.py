@@ -28,14 +28,13 @@ from headcap.lips.contours import MouthLocator, adapt_detector, mesh_examples
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import MonocularTrack, track_video
-from headcap.lips.takes import MouthSpace, SeenTake
+from headcap.lips.takes import BORDER_WEIGHT, MouthSpace, SeenTake
 from headcap.lips.training import regressed, spread_frames
 from headcap.registration.sequence import MeshSequence
 
 TAKES, CAMERA = ("speech_01", "expression_01"), "cam07"
 LANDMARK_NOISE_PX, LABELLED = 2.0, 6
 """Of the first frame's landmarks; frames of each take whose contours the rig's tracked meshes tell."""
-HELD_WEIGHT = 1.0
 DATA = Path(os.environ.get("HEADCAP_TEST_DATA", "../shared/data")) / "ict_rig"
 KIT = Path(os.environ.get("HEADCAP_LIPS_KIT", "results/demo/train_lips/lips.npz"))
 TRACKED = Path(os.environ.get("HEADCAP_ICT_RESULTS", "results/ict_rig"))
@@ -106,7 +105,7 @@ def _judged(
     known = seen.known(tie.carry(true.neutral))
     sequences = {
         "GR": done.meshes,
-        "GR reprojected": seen.corrected(parameters, HELD_WEIGHT, identity),
+        "GR reprojected": seen.corrected(parameters, BORDER_WEIGHT, identity),
         "GR true contours": told.corrected(ideal, identity=identity),
         "true layer": seen.corrected(layer),
         "base on the true head": known.base.world(known.base.meshes),

@@ -15,13 +15,11 @@ from headcap.lips.contour_tracking import expressive_shapes, lip_blendshapes, pe
 from headcap.lips.features import tracking_shapes
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.people import LipPerson
-from headcap.lips.takes import MouthSpace, SeenTake
+from headcap.lips.takes import BORDER_WEIGHT, MouthSpace, SeenTake
 from headcap.lips.training import RegressorPlan, as_seen_by, regressed
 
 KNOWING = ("PS", "MS")
 """Regressors that put the person's true neutral head in (`SeenTake.known`)."""
-HELD_WEIGHT = 1.0
-"""Of the outer contour as a constraint, for the row "GR reprojected"."""
 _BASELINE_EXPRESSIONS = 40
 """Leading expressions of the head model, with the jaw's turns the base tracker's shapes of the contour-based baseline."""
 
@@ -61,7 +59,7 @@ def judge_person(
             # of expression alone, which is what features tell: the constant part is in nobody's true layer
             layers[name][plan.method] = layer_error(parameters - regressor.constant, true)
             if plan.method == "GR":
-                held = seen[name].corrected(parameters, HELD_WEIGHT, regressor.identity)
+                held = seen[name].corrected(parameters, BORDER_WEIGHT, regressor.identity)
                 sequences[name]["GR reprojected"] = held.astype(np.float32)
     if learnt_from:
         for name in tested:

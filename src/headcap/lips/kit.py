@@ -17,7 +17,7 @@ from headcap.lips.clips import Clip
 from headcap.lips.contours import ContourDetector, ContourFinder, ContourSequence, MouthLocator, SearchSettings, find_contours
 from headcap.lips.foreign_tracks import BaseTrack
 from headcap.lips.monocular import MonocularSettings
-from headcap.lips.takes import MouthSpace, SeenTake
+from headcap.lips.takes import BORDER_WEIGHT, MouthSpace, SeenTake
 from headcap.lips.training import regressed
 
 KIND, SCHEMA = "lip_kit", 1
@@ -63,7 +63,7 @@ class LipKit:
     def correct(self, clip: Clip, track: BaseTrack) -> CorrectedClip:
         """Find contours and correct a clip that was tracked with this kit's head model, by our base tracker or another.
 
-        Frames that the base tracker lost, or whose contours were not found, are NaN and never made up. Raises `InputError` for a
+        The outer contour is a constraint of the correction (section 8, `BORDER_WEIGHT`). Frames that the base tracker lost, or whose contours were not found, are NaN and never made up. Raises `InputError` for a
         track of another head model and a clip in which no frame shows both contours.
         """
         regressor, space = self.regressor, self.space
@@ -76,7 +76,7 @@ class LipKit:
             )
         take = SeenTake.of(space, track, clip.camera, found.contours())
         parameters = regressed(regressor, {"clip": take})["clip"]
-        return CorrectedClip(take, found, take.corrected(parameters, identity=regressor.identity).astype(np.float32))
+        return CorrectedClip(take, found, take.corrected(parameters, BORDER_WEIGHT, regressor.identity).astype(np.float32))
 
     def save(self, path: Path | str) -> None:
         """Write as npz artifact `headcap.lip_kit/1`."""

@@ -12,7 +12,7 @@ from headcap.calibration.result import load_camera
 from headcap.errors import InputError
 from headcap.evaluation.lip_errors import LipErrors
 from headcap.evaluation.lip_truth import TrueMeshes, judge_against
-from headcap.evaluation.lips_person import HELD_WEIGHT
+from headcap.evaluation.lips_study import DELIVERED
 from headcap.evaluation.truth import Truth
 from headcap.lips.contours import ContourSequence
 from headcap.lips.kit import LipKit
@@ -22,7 +22,7 @@ from headcap.lips.training import regressed
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 
-GR, HELD = "GR", "GR reprojected"
+GR, HELD = "GR", DELIVERED
 ERRORS = "errors.npz"
 
 
@@ -55,8 +55,8 @@ def judge_lips(request: TruthRequest) -> tuple[LipErrors, list[str]]:
     parameters = regressed(kit.regressor, {"clip": seen})["clip"]
     identity = kit.regressor.identity
     corrected = {
-        GR: MeshSequence.load(request.results / "corrected.json").positions(),
-        HELD: seen.corrected(parameters, HELD_WEIGHT, identity),
+        GR: seen.corrected(parameters, identity=identity),
+        HELD: MeshSequence.load(request.results / "corrected.json").positions(),
     }
     true = _true_meshes(request, camera.name, track.time_s)
     errors = judge_against(space, seen, corrected, true, track.time_s, person="", take=request.truth.stem)
