@@ -8,12 +8,12 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.lips.monocular.harmonics import shading
 from headcap.lips.monocular.photometric import Level, see
-from headcap.lips.monocular.shading import ShadingProblem, ShadingSettings, bilinear, shaded_detail, smoothed
+from headcap.lips.monocular.shading import ShadingProblem, ShadingSettings, bilinear, painted_albedo, shaded_detail, smoothed
 from headcap.meshes.normals import vertex_normals
 
 LIGHT = np.array([[1.9, -0.9, -1.1, 0.7, 0.1, 0.2, 0.1, -0.1, 0.1]]) * np.array([[1.0], [0.9], [0.8]])
 CAMERA = Camera("near", 240, 240, np.array([[1100.0, 0, 119.5], [0, 1100, 119.5], [0, 0, 1]]), np.zeros(5), np.eye(4))
-SETTINGS = ShadingSettings(subdivisions=0, albedo_mm=0)
+SETTINGS = ShadingSettings(depth_mm=0.5)
 
 
 def sheet(cells: int, height=None):
@@ -151,6 +151,21 @@ def test_what_is_no_skin_keeps_to_the_prior(truth):
     assert not detail.seen[far].any()
     with pytest.raises(InputError, match="no skin in view"):
         shaded_detail(level, smooth, triangles, LIGHT, albedo, np.zeros(len(smooth)), SETTINGS)
+
+
+def test_an_albedo_of_the_frame_itself_leaves_nothing_to_carve(truth):
+    """Whatever its shape and paint are: the reference frame is explained, on a split mesh too."""
+    fine, _, triangles, albedo = truth
+    level = photographed(fine, triangles, albedo, np.random.default_rng(5))
+    coarse, coarse_triangles = sheet(40)
+    settings = replace_settings(subdivisions=1)
+    own = painted_albedo(level, coarse, coarse_triangles, LIGHT, settings)
+    assert len(own) == (2 * 40 + 1) ** 2
+    detail = shaded_detail(level, coarse, coarse_triangles, LIGHT, own, settings=settings)
+    assert detail.difference_before < 1e-12
+    assert np.abs(detail.height_m).max() < 1e-12
+    with pytest.raises(InputError, match=f"an albedo of {len(own)} vertices"):
+        shaded_detail(level, coarse, coarse_triangles, LIGHT, own, settings=SETTINGS)
 
 
 def test_finer_meshes_carry_finer_detail(truth):
