@@ -13,7 +13,15 @@ from headcap.lips.training import LipTrainingSettings, contour_examples
 PROGRESS = logging.getLogger("headcap.progress")
 
 
-def run(*, base: Path, files: list[Path], detector: Path, people: list[LipPersonFiles], settings: LipTrainingSettings) -> None:
+def run(
+    *,
+    base: Path,
+    files: list[Path],
+    labels: list[Path],
+    detector: Path,
+    people: list[LipPersonFiles],
+    settings: LipTrainingSettings,
+) -> None:
     space = MouthSpace.of(HeadModel.load(base), settings.mouth)
     examples = [example for person in people for example in contour_examples(person, space, settings)]
     found = train_detector(examples, settings.contours)
@@ -24,7 +32,7 @@ def run(*, base: Path, files: list[Path], detector: Path, people: list[LipPerson
         kind="lip_contour_detector",
         stage="train_contours",
         settings_digest=digest_settings(settings=settings),
-        inputs=[base, *files],
+        inputs=[base, *files, *labels],
         figures={},
     )
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from headcap.errors import InputError, InputErrors
+from headcap.lips.contours.labels import label_files
 from headcap.settings import CALIBRATION
 from headcap.sync.timeline import TakeTimeline
 from headcap.workflow.lock import hold_run_lock
@@ -622,6 +623,17 @@ def lip_person_inputs(person, contours=True):
 
 def lip_training_people():
     return [name for name in PLAN.lip_people if name in PLAN.training]
+
+
+def lip_label_files():
+    """Files of contours that were drawn by hand."""
+    labels = PLAN.study.train_lips.labels
+    return [
+        str(path)
+        for takes in labels.values()
+        for drawn in takes.values()
+        for path in label_files(drawn)
+    ]
 
 
 def take_clip(wildcards):

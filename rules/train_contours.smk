@@ -3,6 +3,7 @@ What lip contours look like: boosted edge detectors, learnt from pictures of the
 
 INPUTS:   base  = results/{study}/head_model/base.npz
           files = base tracks, true meshes and pictures of filmed takes
+          labels = contours drawn by hand, of takes that have some (train_lips.labels)
 OUTPUTS:  detector = results/{study}/train_contours/detector.npz
 """
 
@@ -16,6 +17,7 @@ rule train_contours:
             for person in lip_training_people()
             for path in lip_person_inputs(person, contours=False)
         ],
+        labels=lip_label_files(),
     output:
         detector="results/{study}/train_contours/detector.npz",
     log:
