@@ -1,9 +1,9 @@
 """Lips of a head that no regressor has seen: the ICT rig's takes from one frontal camera, against their true meshes.
 
 Needs what others made: a kit of other people (`make demo`, or HEADCAP_LIPS_KIT), the test data, and for contours of that light
-the rig's own tracked meshes (`headcap run config/sessions/ict_rig.yaml`, or HEADCAP_ICT_RESULTS; without them the kit's detector
-is used as it is): six frames of each take are labelled by them. Landmarks of the first frame stand for a detector's: the true
-ones, two pixels off. Truth judges, and tells in turn what each step loses.
+the rig's own tracked meshes (`headcap run config/sessions/ict_rig.yaml`, or HEADCAP_ICT_RESULTS), which label as many frames of
+each take as a study's; without them the kit's detector is used as it is. Landmarks of the first frame stand for a detector's:
+the true ones, two pixels off. Truth judges, and tells in turn what each step loses.
 """
 
 from __future__ import annotations
@@ -25,15 +25,16 @@ from headcap.evaluation.lip_truth import TrueMeshes, carried_meshes, corresponde
 from headcap.evaluation.truth import Truth
 from headcap.lips.clips import Clip, ClipFiles, video_clip
 from headcap.lips.contours import MouthLocator, adapt_detector, mesh_examples
+from headcap.lips.contours.settings import BoostingSettings
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import MonocularTrack, track_video
 from headcap.lips.takes import BORDER_WEIGHT, MouthSpace, SeenTake
-from headcap.lips.training import regressed, spread_frames
+from headcap.lips.training import LipTrainingSettings, regressed, spread_frames
 from headcap.registration.sequence import MeshSequence
 
 TAKES, CAMERA = ("speech_01", "expression_01"), "cam07"
-LANDMARK_NOISE_PX, LABELLED = 2.0, 6
+LANDMARK_NOISE_PX, LABELLED = 2.0, LipTrainingSettings().pictures_per_take
 """Of the first frame's landmarks; frames of each take whose contours the rig's tracked meshes tell."""
 DATA = Path(os.environ.get("HEADCAP_TEST_DATA", "../shared/data")) / "ict_rig"
 KIT = Path(os.environ.get("HEADCAP_LIPS_KIT", "results/demo/train_lips/lips.npz"))
@@ -87,7 +88,7 @@ def _adapted(kit: LipKit, space: MouthSpace, folder: Path) -> LipKit:
         labelled = [meshes[at].astype(float) if frame in chosen else None for frame, at in enumerate(nearest)]
         examples += mesh_examples("unseen", clip.pictures(), labelled, camera, see, locate)
     alone.unlink()
-    return replace(kit, detector=adapt_detector(kit.detector, examples))
+    return replace(kit, detector=adapt_detector(kit.detector, examples, BoostingSettings().trees))
 
 
 def _judged(
