@@ -3,7 +3,8 @@
 Needs what others made: a kit of other people (`make demo`, or HEADCAP_LIPS_KIT), the test data, and for contours of that light
 the rig's own tracked meshes (`headcap run config/sessions/ict_rig.yaml`, or HEADCAP_ICT_RESULTS), which label as many frames of
 each take as a study's; without them the kit's detector is used as it is. Landmarks of the first frame stand for a detector's:
-the true ones, two pixels off. Truth judges, and tells in turn what each step loses.
+the true ones, two pixels off. Who it is comes from the same camera's view of a take in which the head turns. Truth judges, and
+tells in turn what each step loses.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from run import measure, write
 from headcap.calibration.result import load_camera, save_cameras
 from headcap.cameras import Rig
 from headcap.evaluation.lip_errors import LipErrors
-from headcap.evaluation.lip_truth import TrueMeshes, carried_meshes, correspondence_of, judge_against
+from headcap.evaluation.lip_truth import TrueMeshes, carried_meshes, correspondence_of, judge_against, placed_neutral
 from headcap.evaluation.truth import Truth
 from headcap.lips.clips import Clip, ClipFiles, video_clip
 from headcap.lips.contours import MouthLocator, adapt_detector, mesh_examples
@@ -29,11 +30,13 @@ from headcap.lips.contours.settings import BoostingSettings
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import MonocularTrack, track_video
-from headcap.lips.takes import BORDER_WEIGHT, MouthSpace, SeenTake
+from headcap.lips.monocular.person import MonocularPerson
+from headcap.lips.monocular.stage import followed_clip
+from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.lips.training import LipTrainingSettings, regressed, spread_frames
 from headcap.registration.sequence import MeshSequence
 
-TAKES, CAMERA = ("speech_01", "expression_01"), "cam07"
+TAKES, TURNING, CAMERA = ("speech_01", "expression_01"), "pose_01", "cam07"
 LANDMARK_NOISE_PX, LABELLED = 2.0, LipTrainingSettings().pictures_per_take
 """Of the first frame's landmarks; frames of each take whose contours the rig's tracked meshes tell."""
 DATA = Path(os.environ.get("HEADCAP_TEST_DATA", "../shared/data")) / "ict_rig"
@@ -50,23 +53,36 @@ def run(out_path: Path) -> None:
     kit, truth, figures = LipKit.load(KIT), Truth(DATA / "truth"), {}
     space = MouthSpace(kit.head, kit.regressor.mouth(kit.head), kit.regressor.mouth_settings, kit.regressor.space)
     adapted = _adapted(kit, space, out_path.parent)
-    took, frames = [], 0
+    took, frames, person = [], 0, _person(kit, truth)
     for take in TAKES:
         clip = video_clip(DATA / "takes" / take / f"{CAMERA}.mp4", truth.rig[CAMERA])
         true, kept = TrueMeshes.of_rig(truth, take, CAMERA, clip.time_s), {}
-        took.append(measure(lambda kept=kept, clip=clip, true=true: kept.update(_made(adapted, clip, true))))
+        took.append(measure(lambda kept=kept, clip=clip, true=true: kept.update(_made(adapted, clip, true, person))))
         frames += len(clip)
         figures |= _figures(take, _judged(kit, space, clip, kept["track"], kept["done"], true, take))
     total = {key: sum(one[key] for one in took) / frames for key in took[0]}
     write(out_path, ours={"name": "a frame tracked, its contours found and corrected", **total}, figures=figures)
 
 
-def _made(kit: LipKit, clip: Clip, true: TrueMeshes) -> dict[str, MonocularTrack | CorrectedClip]:
-    """As `headcap lips` goes about it."""
+def _person(kit: LipKit, truth: Truth) -> MonocularPerson:
+    """Who it is, from the same camera's view of the take in which the head turns: no truth, but the first frame's landmarks."""
+    clip = video_clip(DATA / "takes" / TURNING / f"{CAMERA}.mp4", truth.rig[CAMERA])
+    true = TrueMeshes.of_rig(truth, TURNING, CAMERA, clip.time_s)
+    return followed_clip(kit.head, clip, kit.monocular, _landmarks(clip, true)).person
+
+
+def _landmarks(clip: Clip, true: TrueMeshes) -> dict[int, np.ndarray]:
+    """Of the first frame, as a detector finds them."""
     known = next(frame for frame in range(len(clip)) if true.at(frame) is not None)
     landmarks = clip.camera.project(true.at(known)[Truth(DATA / "truth").landmark_points])[0]
     landmarks += np.random.default_rng(0).normal(0.0, LANDMARK_NOISE_PX, landmarks.shape)
-    track = track_video(kit.head, clip.camera, clip.pictures(), clip.time_s, {0: landmarks}, kit.monocular)
+    return {0: landmarks}
+
+
+def _made(kit: LipKit, clip: Clip, true: TrueMeshes, person: MonocularPerson) -> dict[str, MonocularTrack | CorrectedClip]:
+    """As `headcap lips --person` goes about it."""
+    given = (clip.time_s, _landmarks(clip, true), kit.monocular)
+    track = track_video(kit.head, clip.camera, clip.pictures(), *given, person=person)
     return {"track": track, "done": kit.correct(clip, track)}
 
 
@@ -102,11 +118,11 @@ def _judged(
     exact = [see(mesh, clip.camera) if np.isfinite(mesh).all() else None for mesh in meshes]
     told = SeenTake.of(space, track, clip.camera, exact)
     parameters, ideal = (regressed(kit.regressor, {"clip": one})["clip"] for one in (seen, told))
-    layer = seen.parameters(tie.carry(true.neutral), meshes)
-    known = seen.known(tie.carry(true.neutral))
+    neutral = placed_neutral(space.model, seen.neutral, true, tie)
+    layer, known = seen.parameters(neutral, meshes), seen.known(neutral)
     sequences = {
-        "GR": done.meshes,
-        "GR reprojected": seen.corrected(parameters, BORDER_WEIGHT, identity),
+        "GR": seen.corrected(parameters, identity=identity),
+        "GR reprojected": done.meshes,
         "GR true contours": told.corrected(ideal, identity=identity),
         "true layer": seen.corrected(layer),
         "base on the true head": known.base.world(known.base.meshes),

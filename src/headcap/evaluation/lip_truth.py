@@ -16,8 +16,10 @@ from headcap.evaluation.lip_sections import LipSections
 from headcap.evaluation.truth import Truth
 from headcap.geometry.transforms import fit_similarity, rigid
 from headcap.heads import HeadModel
+from headcap.lips.correction import TrueNeutral
 from headcap.lips.correspondence import Correspondence, NeutralFace, correspond, same_topology
 from headcap.lips.mouth import Mouth
+from headcap.lips.people import registered_neutral
 from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.meshes.rasteriser import rasterise
 from headcap.registration.graph import edge_graph
@@ -150,11 +152,19 @@ def judge_against(
     """
     tie = correspondence_of(space.model, space.mouth, seen.neutral, true)
     sections = LipSections.of(np.asarray(space.model.vertices, float), space.mouth, space.model.regions)
-    reference = LipReference(space.mouth, sections, seen.neutral, tie.carry(true.neutral))
+    reference = LipReference(space.mouth, sections, seen.neutral, placed_neutral(space.model, seen.neutral, true, tie))
     sequences = {BASE: seen.base.world(seen.base.meshes), **corrected}
     return compare_lips(
         reference, carried_meshes(tie, true, len(seen)), sequences, time_s, person=person, take=take, knowing=knowing
     )
+
+
+def placed_neutral(model: HeadModel, neutral: NDArray, true: TrueMeshes, tie: Correspondence) -> TrueNeutral:
+    """The true face at rest in the head model's topology, and by which skin the tracked one (n, 3) is laid on it."""
+    if np.array_equal(model.triangles, true.triangles):
+        return registered_neutral(model, neutral, true.neutral)
+    carried, skin = tie.carry(true.neutral), np.flatnonzero(tie.matched & _skin(model))
+    return TrueNeutral(carried, skin, carried[skin])
 
 
 def _lip_middles(model: HeadModel, mouth: Mouth) -> dict[str, int]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from headcap.calibration.result import load_camera
 from headcap.errors import InputError
+from headcap.heads import HeadModel
 from headcap.lips.clips import ClipFiles
 from headcap.lips.contours import ContourSequence
 from headcap.lips.correction import TrueNeutral
@@ -97,6 +98,23 @@ class LipPerson:
     takes: dict[str, LipPersonTake]
 
 
+def registered_neutral(model: HeadModel, base_neutral: NDArray, truth_neutral: NDArray) -> TrueNeutral:
+    """H_0 (n, 3) and where the skin of C_0 (n, 3) lies on it, both in a head model's topology (section 4.1).
+
+    All of the skin, not the part alone that holds still: neutral faces make no expression. Raises `InputError` as `correspond`.
+    """
+    skin = model.regions["face"].copy()
+    for name in ("eyes", "mouth_interior"):
+        skin &= ~model.regions.get(name, np.zeros(len(skin), bool))
+    base, true = (
+        NeutralFace(vertices, model.triangles, {name: vertices[v] for name, v in model.landmarks.items()}, skin)
+        for vertices in (np.asarray(base_neutral, np.float64), np.asarray(truth_neutral, np.float64))
+    )
+    found = correspond(base, true)
+    matched = np.flatnonzero(found.matched)
+    return TrueNeutral(true.vertices, matched, found.registered[matched])
+
+
 class _Placing:
     """Where a base tracker's neutral heads of one person lie on the true one; takes that share a head are registered once."""
 
@@ -108,18 +126,8 @@ class _Placing:
         """The true head as `base_neutral` (n, 3) lies on it."""
         key = base_neutral.tobytes()
         if key not in self._found:
-            found = correspond(self._face(base_neutral), self._face(self.neutral))
-            # neutral faces make none: all of their skin says how they lie on each other, not the part alone that holds still
-            skin = np.flatnonzero(found.matched)
-            self._found[key] = TrueNeutral(self.neutral, skin, found.registered[skin])
+            self._found[key] = registered_neutral(self.space.model, base_neutral, self.neutral)
         return self._found[key]
-
-    def _face(self, vertices: NDArray[np.float64]) -> NeutralFace:
-        model = self.space.model
-        skin = model.regions["face"].copy()
-        for name in ("eyes", "mouth_interior"):
-            skin &= ~model.regions.get(name, np.zeros(len(skin), bool))
-        return NeutralFace(vertices, model.triangles, {name: vertices[v] for name, v in model.landmarks.items()}, skin)
 
 
 def _load_take(files: LipTakeFiles, space: MouthSpace, placing: _Placing, contours: bool) -> LipPersonTake:
