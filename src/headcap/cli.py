@@ -77,6 +77,11 @@ def _parser() -> argparse.ArgumentParser:
         help="track.npz of another video of the same person, best of one in which the head turns (default: the video tells)",
     )
     lips.add_argument(
+        "--detail",
+        action="store_true",
+        help="also write detailed.json: wrinkles by shading, as they differ from the first frame; slow, and as good as the track",
+    )
+    lips.add_argument(
         "--align",
         type=Path,
         nargs="+",
@@ -305,7 +310,7 @@ def _lips(options: argparse.Namespace) -> int:
         return _lips_of_base_track(options)
     from headcap.workflow.lips import correct_videos, lip_requests
 
-    given = (options.camera, options.camera_name, options.detections, options.align or (), options.person)
+    given = (options.camera, options.camera_name, options.detections, options.align or (), options.person, options.detail)
     answer = correct_videos(lip_requests(options.videos, options.regressor, *given), options.out)
     for line in answer.lines:
         print(line)
@@ -319,6 +324,9 @@ def _lips_of_base_track(options: argparse.Namespace) -> int:
     from headcap.workflow.lip_base_track import BaseTrackFiles, correct_base_track
 
     files = BaseTrackFiles(options.base_track, options.base_flame, options.base_neutral, options.base_landmarks)
+    for option in ("person", "detail", "align"):
+        if getattr(options, option):
+            raise InputError(f"--{option} with --base-track", expected="one of them", remedy="Our own base tracker takes it.")
     camera = (options.camera, options.camera_name)
     return _print_written(correct_base_track(options.videos, options.regressor, files, *camera, options.out), options.out)
 

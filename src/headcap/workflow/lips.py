@@ -19,6 +19,8 @@ from headcap.heads.procedural import base_head
 from headcap.lips.clips import Clip, video_clip
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.monocular import FrameState, MonocularTrack, load_detections, unknown_camera
+from headcap.lips.monocular.detail import detailed_meshes
+from headcap.lips.monocular.shading import ShadingSettings
 from headcap.lips.monocular.stage import track_clip
 from headcap.recordings.video import VideoFrames
 from headcap.registration.sequence import MeshSequence, save_chunk
@@ -42,6 +44,8 @@ class LipRequest:
     """Landmarks of a detector's, for the first frame or all."""
     person: Path | None = None
     """Another base track of the same person, best of a video in which the head turns."""
+    detail: bool = False
+    """Also write the corrected meshes with fine detail by shading."""
     words: Path | None = None
     """What was said and when, see `read_words`; without one a file beside the video, with .align for its ending, is taken."""
 
@@ -54,6 +58,7 @@ def lip_requests(
     detections: Path | None = None,
     words: Sequence[Path] = (),
     person: Path | None = None,
+    detail: bool = False,
 ) -> list[LipRequest]:
     """A request for each video; of several each takes the file of words that has its name.
 
@@ -73,7 +78,8 @@ def lip_requests(
         )
     if len(videos) == 1 and words:
         named = {videos[0].stem: words[0]}
-    return [LipRequest(video, kit, camera, camera_name, detections, person, named.get(video.stem)) for video in videos]
+    given = (kit, camera, camera_name, detections, person, detail)
+    return [LipRequest(video, *given, named.get(video.stem)) for video in videos]
 
 
 @dataclass(frozen=True)
@@ -121,8 +127,8 @@ def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) 
     """Track, correct and write a video's face to a folder; returns lines of what was answered and what was not.
 
     Writes `track.npz`, `camera.json`, `track.png`, `contours.npz`, `corrected.json` with `corrected.npy` and
-    `corrected.template.npz`, `side_by_side.mp4`, `overlay.mp4` and `clip.npz`. Raises `InputError` as `video_clip`,
-    `load_detections`, `read_words`, `track_video` and `LipKit.correct`.
+    `corrected.template.npz`, `side_by_side.mp4`, `overlay.mp4` and `clip.npz`, and where asked for `detailed.json`. Raises
+    `InputError` as `video_clip`, `load_detections`, `read_words`, `track_video` and `LipKit.correct`.
     """
     kit, clip, words = kit or LipKit.load(request.kit), _clip(request), _words(request)
     detections = load_detections(request.detections) if request.detections else None
@@ -136,12 +142,31 @@ def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) 
     corrected.contours.save(folder / "contours.npz")
     given = (request.video, request.kit, request.camera, request.detections, request.person, request.words)
     save_corrected(folder, clip, kit, corrected, [path for path in given if path is not None], request.camera_name)
+    if request.detail:
+        _save_detail(folder, seen, kit, track, corrected)
     sequences = {BASE: corrected.take.base.world(corrected.take.base.meshes), "GR": corrected.meshes}
     mouth = corrected.take.space.mouth.vertices
     write_clip_side_by_side(folder / "side_by_side.mp4", seen, kit.head.triangles, sequences, mouth)
     write_overlay(folder / "overlay.mp4", seen, corrected, request.video)
     judge_clip(request.video.stem, kit.head, track, corrected, words).save(folder / "clip.npz")
     return _told(track, corrected)
+
+
+def _save_detail(folder: Path, seen: Clip, kit: LipKit, track: MonocularTrack, corrected: CorrectedClip) -> None:
+    """Write `detailed.json` with `detailed.npy`, in the topology of the corrected meshes."""
+    positions = folder / "detailed.npy"
+    save_chunk(
+        positions, np.stack([mesh.astype(np.float32) for mesh in detailed_meshes(kit.head, seen, track, corrected.meshes)])
+    )
+    MeshSequence(f"{folder.name}_detailed", seen.time_s, (positions,)).save(folder / "detailed.json")
+    write_manifest(
+        folder / "detailed.json",
+        kind="mesh_sequence",
+        stage="lips",
+        settings_digest=digest_settings(shading=ShadingSettings()),
+        inputs=[folder / "corrected.json", folder / "track.npz"],
+        figures={},
+    )
 
 
 def _write_page(folders: Sequence[Path], requests: Sequence[LipRequest], failures: dict[str, str], folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,6 +11,7 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_similarity, rigid, transform
 from headcap.heads import HeadModel, procedural_model
+from headcap.lips.monocular.flow import flow_there_and_back
 from headcap.lips.monocular.identity import _Bundle, identity_surface, key_frames
 from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.problem import Features
@@ -132,3 +134,18 @@ def test_a_face_at_some_vertices_alone_is_the_same_face(surface: FaceSurface):
     whole, own = (each.slopes(estimate, shape=True, normals=False) for each in (surface, part))
     # turns are about each one's own middle; all else agrees
     np.testing.assert_allclose(own.vertices[3:], whole.vertices[3:, chosen], atol=1e-6)
+
+
+def test_flow_finds_a_shift_there_and_back_and_tells_where_there_is_no_way_back():
+    random = np.random.default_rng(2)
+    texture = cv2.GaussianBlur(random.normal(size=(140, 160)), (0, 0), 2.0)
+    texture = np.clip(127 + 300 * texture, 0, 255).astype(np.uint8)
+    first, second = texture[10:110, 10:130].copy(), texture[12:112, 7:127].copy()
+    second[30:60, 30:60] = random.integers(0, 255, (30, 30))
+    flow, missed_px = flow_there_and_back(first, second, finest_scale=0)
+    kept = np.ones(flow.shape[:2], bool)
+    # what moved in or was painted over, and DIS patches of eight pixels about it
+    kept[:12], kept[-12:], kept[:, :12], kept[:, -12:], kept[16:74, 16:74] = False, False, False, False, False
+    np.testing.assert_allclose(np.median(flow[kept], axis=0), [3.0, -2.0], atol=0.1)
+    assert np.percentile(missed_px[kept], 90) < 0.3
+    assert np.median(missed_px[36:54, 36:54]) > 0.7

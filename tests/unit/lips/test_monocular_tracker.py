@@ -14,7 +14,9 @@ from headcap.geometry.transforms import fit_rigid, fit_similarity, rigid, rotati
 from headcap.heads import HeadCoefficients, HeadModel, procedural_model
 from headcap.lips.clips import Clip
 from headcap.lips.foreign_tracks import BaseTrack
-from headcap.lips.monocular import detections, harmonics
+from headcap.lips.monocular import detections, harmonics, stage
+from headcap.lips.monocular.identity import Identified
+from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.pictures import levels_of, resized
 from headcap.lips.monocular.problem import Appearance, FrameProblem, Prior
 from headcap.lips.monocular.sequence import MonocularTrack, track_video
@@ -204,6 +206,22 @@ def test_a_head_that_turns_tells_who_it_is(studio: Studio):
     # half a pixel, to which places are followed, is at 20 degrees 0.5 / sin(20 degrees) = 1.5 pixels in depth
     assert errors[1] < 1.5 * PIXEL_MM
     assert errors[1] < 0.6 * errors[0]
+
+
+def test_who_does_not_lead_through_the_video_is_not_who_turned(studio: Studio, monkeypatch: pytest.MonkeyPatch):
+    facing, shift = studio.still.camera_from_head[:3, :3], studio.still.camera_from_head[:3, 3]
+    turned = rigid(Rotation.from_euler("y", 14, degrees=True).as_matrix() @ facing, shift)
+    pictures = [studio.picture(studio.still), studio.picture(Moment(np.zeros(30), 0.0, turned))]
+    clip = Clip(studio.camera, np.arange(2) / 25, lambda: iter(pictures))
+    points = {0: studio.points(studio.still)}
+    alone = track_video(studio.model, studio.camera, pictures, clip.time_s, points, SETTINGS)
+    crumpled = np.random.default_rng(1).normal(0, 0.02, studio.model.vertices.shape).astype(np.float32)
+    nobody = MonocularPerson(studio.model.digest, np.zeros(12), crumpled)
+    monkeypatch.setattr(stage, "identify", lambda *given, **known: Identified(nobody, 0.0, 2, 14.0, 0.0))
+    kept = followed_clip(studio.model, clip, SETTINGS, points)
+    np.testing.assert_array_equal(kept.shape, alone.shape)
+    assert not kept.layer.any()
+    assert kept.answered.all()
 
 
 def test_over_a_gap_a_face_may_change_as_over_its_frames(started: Started):

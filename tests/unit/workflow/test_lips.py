@@ -21,6 +21,7 @@ from headcap.lips.correction import TrueNeutral
 from headcap.lips.kit import LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import FrameState, MonocularSettings, MonocularTrack
+from headcap.lips.monocular.shading import ShadingSettings
 from headcap.lips.people import LipPerson, LipPersonTake
 from headcap.lips.regression import RegressionSettings
 from headcap.lips.takes import MouthSpace, SeenTake
@@ -86,7 +87,7 @@ def _still_track(space: MouthSpace) -> MonocularTrack:
 @pytest.fixture(scope="module")
 def done(folder) -> tuple[int, Path]:
     videos = [str(folder / f"{name}.mp4") for name in ("anna", "wall")]
-    status = main(["lips", *videos, "--regressor", str(folder / "lips.npz"), "--out", str(folder / "out")])
+    status = main(["lips", *videos, "--regressor", str(folder / "lips.npz"), "--detail", "--out", str(folder / "out")])
     return status, folder / "out"
 
 
@@ -117,6 +118,24 @@ def test_the_overlay_shows_every_frame(done):
     # meshes lie over the first two panels and not over the third
     drawn, plain = pictures[0][30:, :panel].astype(float), pictures[0][30:, 2 * panel : 3 * panel]
     assert np.abs(drawn - plain[:, : drawn.shape[1]]).mean() > 10
+
+
+def test_detail_lies_on_the_skin_and_begins_with_none(done):
+    plain, fine = (np.asarray(MeshSequence.load(done[1] / f"anna/{name}.json").positions()) for name in ("corrected", "detailed"))
+    np.testing.assert_array_equal(np.isfinite(fine), np.isfinite(plain))
+    answered = np.flatnonzero(np.isfinite(plain).all(axis=(1, 2)))
+    moved_mm = 1e3 * np.linalg.norm(fine - plain, axis=2)[answered]
+    # the first answered frame paints the skin; what is left is rounding of single precision meshes
+    assert moved_mm[0].max() < 2e-3
+    assert 0.0 < moved_mm[1:].max() < 10 * ShadingSettings().depth_mm
+    model = procedural_model()
+    assert moved_mm[:, ~(model.regions["face"] | model.regions["lips_upper"] | model.regions["lips_lower"])].max() < 2e-3
+
+
+def test_another_trackers_track_takes_nothing_of_our_own(folder, tmp_path, capsys):
+    given = ["lips", str(folder / "anna.mp4"), "--regressor", str(folder / "lips.npz"), "--out", str(tmp_path)]
+    assert main([*given, "--base-track", "x.npz", "--detail"]) == 1
+    assert "--detail with --base-track" in capsys.readouterr().err
 
 
 def test_provenance_leads_to_video_kit_and_words(done, folder):

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.lips.monocular.finder import generic_colour, locally_normalised, looks_of
+from headcap.lips.monocular.flow import flow_there_and_back
 from headcap.lips.monocular.photometric import Level
 from headcap.lips.monocular.problem import Appearance, Features
 from headcap.lips.monocular.surface import Estimate, FaceSurface
@@ -79,7 +80,8 @@ def flow_features(surface: FaceSurface, level: Level, estimate: Estimate, appear
     vertices = surface.in_camera(estimate)
     normals = surface.normals(vertices)
     pair = _normalised_pair(surface, level, estimate, vertices, appearance.colours(finest, normals))
-    flow, sound = _flow_there_and_back(pair)
+    flow, missed_px = flow_there_and_back(pair.drawn, pair.seen)
+    sound = (missed_px < _RETURN_PX) & pair.hit
     pixels = estimate.camera(level.camera).project(vertices)[0]
     place = np.rint(pixels).astype(int)
     height, width = pair.hit.shape
@@ -107,17 +109,6 @@ def _normalised_pair(surface: FaceSurface, level: Level, estimate: Estimate, ver
         # lips are dark in one and red in the other: their difference shows them twice
         codes.append(np.clip(127 + _CODE * (bright - red), 0, 255).astype(np.uint8))
     return _Pair(*codes, hit)
-
-
-def _flow_there_and_back(pair: _Pair) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Flow (height, width, 2) from the rendering to the picture, and where the way back agrees."""
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    there, back = dis.calc(pair.drawn, pair.seen, None), dis.calc(pair.seen, pair.drawn, None)
-    y, x = np.mgrid[: there.shape[0], : there.shape[1]].astype(np.float32)
-    returned = np.stack(
-        [cv2.remap(back[..., k], x + there[..., 0], y + there[..., 1], cv2.INTER_LINEAR) for k in range(2)], axis=2
-    )
-    return there, (np.linalg.norm(there + returned, axis=2) < _RETURN_PX) & pair.hit
 
 
 def _texture(code: NDArray[np.uint8]) -> NDArray[np.float32]:

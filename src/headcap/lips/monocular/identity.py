@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from headcap.cameras import Camera
+from headcap.lips.monocular.flow import flow_there_and_back
 from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.pictures import finest_share, resized
 from headcap.lips.monocular.problem import Features, FrameProblem, Prior
@@ -149,7 +150,8 @@ def _followed(
         kept, moved = _flow_at(surface, first, pictures[0], there, picture, places)
         features.append([Features(kept, there.pixels[kept] + moved, settings.flow_noise_px, camera)])
         left_px.append(np.linalg.norm(moved, axis=1))
-    return features, float(np.median(np.concatenate(left_px)))
+    moved = np.concatenate(left_px)
+    return features, float(np.median(moved)) if len(moved) else np.nan
 
 
 def _at_places(surface: FaceSurface, features: list[list[Features]]) -> tuple[FaceSurface, list[list[Features]]]:
@@ -178,8 +180,8 @@ def _flow_at(
     known = raster.interpolate(surface.triangles, first.facing[:, None])[..., 0]
     hit = raster.hit & np.isfinite(source).all(axis=2) & (np.nan_to_num(known, nan=-1.0) > _FACING)
     turned = cv2.remap(start, np.where(hit[..., None], source, -1.0).astype(np.float32), None, cv2.INTER_LINEAR)
-    flow, returned = _flow(*_normalised(turned, picture, hit))
-    sound = hit & (returned < _RETURN_PX) & (cv2.erode(hit.astype(np.uint8), np.ones((2 * _BORDER_PX + 1,) * 2)) > 0)
+    flow, missed_px = flow_there_and_back(*_normalised(turned, picture, hit), finest_scale=0)
+    sound = hit & (missed_px < _RETURN_PX) & (cv2.erode(hit.astype(np.uint8), np.ones((2 * _BORDER_PX + 1,) * 2)) > 0)
     pixel = np.rint(there.pixels[places]).astype(int)
     inside = ((pixel >= 0) & (pixel < picture.shape[::-1])).all(axis=1) & (there.facing[places] > _FACING)
     places, (column, row) = places[inside], pixel[inside].T
@@ -199,16 +201,6 @@ def _normalised(turned: NDArray, picture: NDArray, hit: NDArray[np.bool_]) -> tu
         standard = (image - mean) / np.sqrt(np.maximum(variance, 0.0) + _FLOOR_CODE)
         codes.append(np.clip(127 + _CODE * standard, 0, 255).astype(np.uint8))
     return np.where(hit, codes[0], codes[1]), codes[1]
-
-
-def _flow(turned: NDArray[np.uint8], picture: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Dense flow (height, width, 2) there, to the finest pixels, and how far the way back misses (height, width), px."""
-    dis = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    dis.setFinestScale(0)
-    there, back = dis.calc(turned, picture, None), dis.calc(picture, turned, None)
-    y, x = np.mgrid[: there.shape[0], : there.shape[1]].astype(np.float32)
-    returned = [cv2.remap(back[..., k], x + there[..., 0], y + there[..., 1], cv2.INTER_LINEAR) for k in range(2)]
-    return there, np.linalg.norm(there + np.stack(returned, axis=2), axis=2)
 
 
 # -- what explains it ----------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from headcap.artifacts import atomic_path
 from headcap.calibration.result import save_cameras
 from headcap.cameras import Camera, Rig
+from headcap.errors import InputError
 from headcap.heads import HeadModel
 from headcap.lips.clips import Clip
 from headcap.lips.monocular.identity import KeyFrame, identify, identity_surface, key_frames
@@ -82,7 +83,13 @@ def followed_clip(
     own = replace(clip.camera, camera_from_world=np.eye(4))
     found = identify(surface, own, frames, settings, focal_known=clip.focal_known)
     seen = replace(track, focal_ratio=float(np.exp(found.log_focal))).camera(clip.camera)
-    again = track_video(model, seen, clip.pictures(), *given, person=found.person)
+    try:
+        again = track_video(model, seen, clip.pictures(), *given, person=found.person)
+    except InputError:
+        return track
+    # somebody who is followed less well than from one frame alone is not who turned: hands, hair or a cut misled
+    if again.answered.sum() < track.answered.sum():
+        return track
     return replace(again, focal_ratio=float(np.exp(found.log_focal)))
 
 
