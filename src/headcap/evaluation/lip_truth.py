@@ -17,11 +17,11 @@ from headcap.evaluation.truth import Truth
 from headcap.geometry.transforms import fit_similarity, rigid
 from headcap.heads import HeadModel
 from headcap.lips.correction import TrueNeutral
-from headcap.lips.correspondence import Correspondence, NeutralFace, correspond, same_topology
 from headcap.lips.mouth import Mouth
 from headcap.lips.people import registered_neutral
 from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.meshes.rasteriser import rasterise
+from headcap.registration.face_correspondence import Correspondence, NeutralFace, correspond, same_topology
 from headcap.registration.graph import edge_graph
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template

@@ -13,10 +13,10 @@ from headcap.artifacts import ArtifactError
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_rigid, transform
 from headcap.heads import FlameSettings, HeadModel, load_flame
-from headcap.lips.correspondence import NeutralFace, correspond
 from headcap.lips.foreign_tracks import BaseTrack, MeshTrack, load_flame_track, mesh_track
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.mouth import Mouth
+from headcap.registration.face_correspondence import NeutralFace, correspond
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 

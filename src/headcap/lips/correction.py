@@ -16,10 +16,10 @@ from scipy import sparse
 
 from headcap.errors import InputError
 from headcap.geometry.transforms import fit_rigid, fit_similarity, transform
-from headcap.lips.correspondence import Correspondence
 from headcap.lips.mouth import Mouth
 from headcap.lips.triangle_parameters import PARAMETERS, compose, decompose
 from headcap.meshes.laplacian import Factor
+from headcap.registration.face_correspondence import Correspondence
 
 Identity = Literal["corrected", "kept"]
 

@@ -15,9 +15,9 @@ from headcap.heads import HeadModel
 from headcap.lips.clips import ClipFiles
 from headcap.lips.contours import ContourSequence
 from headcap.lips.correction import TrueNeutral
-from headcap.lips.correspondence import NeutralFace, correspond
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.takes import MouthSpace, SeenTake
+from headcap.registration.face_correspondence import NeutralFace, correspond
 from headcap.registration.sequence import MeshSequence, joined
 from headcap.registration.template import Template
 

@@ -11,16 +11,16 @@ from headcap.errors import InputError
 from headcap.geometry.transforms import fit_similarity, from_vector, transform
 from headcap.heads import base_head, load_ict, procedural_model
 from headcap.lips.correction import CorrectionLayer, canonical_meshes
-from headcap.lips.correspondence import (
+from headcap.lips.mouth import find_mouth
+from headcap.meshes.subdivision import subdivide_butterfly
+from headcap.registration.face_correspondence import (
     Correspondence,
-    LipCorrespondenceSettings,
+    FaceCorrespondenceSettings,
     NeutralFace,
     correspond,
     landmark_points,
     same_topology,
 )
-from headcap.lips.mouth import find_mouth
-from headcap.meshes.subdivision import subdivide_butterfly
 from headcap.report.overlays import virtual_camera
 from headcap.synthetic.mesh_takes import mesh_subject
 
@@ -213,7 +213,7 @@ def test_a_rig_that_is_somewhere_else_is_refused(base, twin):
     away = np.array([0.0, 0.0, 1.0])
     far = {name: point + away * (k % 2) for k, (name, point) in enumerate(twin.face().landmarks.items())}
     with pytest.raises(InputError, match="of the base's skin within"):
-        correspond(base, twin.face(landmarks=far), LipCorrespondenceSettings(lengths_mm=(30.0,), rounds=1))
+        correspond(base, twin.face(landmarks=far), FaceCorrespondenceSettings(lengths_mm=(30.0,), rounds=1))
 
 
 @pytest.mark.real

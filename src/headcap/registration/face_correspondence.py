@@ -41,7 +41,7 @@ _ON_SKIN_M = 5e-3
 _ARRAYS = ("triangle", "local", "matched", "of_triangle", "rig_triangles", "registered")
 
 
-class LipCorrespondenceSettings(BaseModel):
+class FaceCorrespondenceSettings(BaseModel):
     """Bending a base tracker's face onto a rig's; the paper gives no numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -142,7 +142,7 @@ def same_topology(neutral: NDArray, triangles: NDArray) -> Correspondence:
     return Correspondence(first, local, used, np.arange(len(triangles)), triangles, np.asarray(neutral, np.float64), figures)
 
 
-def correspond(base: NeutralFace, rig: NeutralFace, settings: LipCorrespondenceSettings | None = None) -> Correspondence:
+def correspond(base: NeutralFace, rig: NeutralFace, settings: FaceCorrespondenceSettings | None = None) -> Correspondence:
     """Triangle-to-triangle correspondence by Laplacian surface registration (section 4.1).
 
     1. A similarity on the landmarks that both faces name; 2. Laplacian deformation of the base's face with landmarks as
@@ -151,7 +151,7 @@ def correspond(base: NeutralFace, rig: NeutralFace, settings: LipCorrespondenceS
     belongs to the rig's triangle nearest to its middle. Raises `InputError` for fewer than four landmarks in common, and where
     less than half of the skin finds a counterpart.
     """
-    settings = settings or LipCorrespondenceSettings()
+    settings = settings or FaceCorrespondenceSettings()
     own, theirs = _common_landmarks(base, rig)
     placement, scale = fit_similarity(own, theirs)
     placed = transform(placement, scale * base.vertices)
@@ -209,7 +209,7 @@ def _landmark_lines(placed: NDArray, skin: NDArray, own: NDArray, theirs: NDArra
     return Lines(vertices[on_skin], (theirs + placed[vertices] - own)[on_skin], alone=True)
 
 
-def _by_landmarks(plate: Plate, lines: Lines, settings: LipCorrespondenceSettings) -> NDArray:
+def _by_landmarks(plate: Plate, lines: Lines, settings: FaceCorrespondenceSettings) -> NDArray:
     """The first Laplacian step."""
     length, share = 1e-3 * settings.landmark_length_mm, NonrigidSettings().membrane
     pull = np.zeros(len(plate.rest))
@@ -223,7 +223,7 @@ def _by_landmarks(plate: Plate, lines: Lines, settings: LipCorrespondenceSetting
     return bent
 
 
-def _by_nearest(plate: Plate, bent: NDArray, lines: Lines, rig: NeutralFace, settings: LipCorrespondenceSettings) -> NDArray:
+def _by_nearest(plate: Plate, bent: NDArray, lines: Lines, rig: NeutralFace, settings: FaceCorrespondenceSettings) -> NDArray:
     """The second Laplacian step."""
     stages = NonrigidSettings(
         lengths_mm=settings.lengths_mm, rounds=settings.rounds, line_weight=settings.landmark_weight, reach_mm=(15.0, 3.0)
@@ -243,7 +243,7 @@ def _carried_along(placed: NDArray, used: NDArray, bent: NDArray) -> NDArray:
     return out
 
 
-def _tied(base: NeutralFace, bent: NDArray, rig: NeutralFace, settings: LipCorrespondenceSettings) -> Correspondence:
+def _tied(base: NeutralFace, bent: NDArray, rig: NeutralFace, settings: FaceCorrespondenceSettings) -> Correspondence:
     skin = np.flatnonzero(rig.skin[rig.triangles].all(axis=1))
     corners = rig.triangles[skin]
     triangle, points, distance = _nearest_agreeing(bent, vertex_normals(bent, base.triangles), rig.vertices, corners)
