@@ -134,7 +134,7 @@ def compare_lips(
     `sequences` holds "base" at least; each may be an array (f, n, 3), a memory map or an iterator, in any frame: one frame of
     each is held at a time. A mesh that is not finite is a frame without an answer (or without truth). `layer_errors` (f,) are
     those of `layer_error`, by method. Methods `knowing` the person's true neutral head have it in the
-    base's place and are aligned by it. Truth of another topology is carried over first (`registration.face_correspondence`). Raises
+    base's place and are aligned by it. Truth of another topology is carried over first (`face_correspondence`). Raises
     `InputError` without a base, for another topology or numbers of frames that differ.
     """
     if BASE not in sequences:
