@@ -16,6 +16,7 @@ from headcap.heads import FlameSettings, HeadModel, load_flame
 from headcap.lips.foreign_tracks import BaseTrack, MeshTrack, load_flame_track, mesh_track
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.mouth import Mouth
+from headcap.meshes.files import read_mesh
 from headcap.registration.face_correspondence import NeutralFace, correspond
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
@@ -133,23 +134,9 @@ def _read_person(files: BaseTrackFiles) -> _Person:
     if path.suffix == ".npz":
         known = Template.load(path)
         return _Person(known.vertices, known.triangles, dict(known.landmarks), dict(known.regions))
-    vertices, triangles = _read_mesh(path)
+    vertices, triangles = read_mesh(path, expected="a PLY or OBJ mesh, or a template .npz")
     landmarks = {} if files.landmarks is None else _read_landmarks(files.landmarks, len(vertices))
     return _Person(vertices, triangles, landmarks)
-
-
-def _read_mesh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices (N, 3) in the file's order, nothing mended, and triangles (M, 3)."""
-    import trimesh
-
-    try:
-        mesh = trimesh.load(path, process=False, force="mesh", maintain_order=True)
-        vertices, triangles = np.array(mesh.vertices, float), np.array(mesh.faces, np.int32).reshape(-1, 3)
-    except Exception as error:
-        raise InputError(
-            f"{path} cannot be read ({error})", expected="a PLY or OBJ mesh, or a template .npz", remedy="Export it again."
-        ) from error
-    return vertices, triangles
 
 
 def _read_landmarks(path: Path, vertices: int) -> dict[str, int]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.errors import InputError
+from headcap.meshes.files import read_coloured_mesh
 from headcap.meshes.normals import triangle_normals, vertex_normals
 from headcap.meshes.topology import boundary_mask, mesh_edges, non_manifold_edges, submesh, vertex_components
 
@@ -43,8 +44,6 @@ def load_scan(path: Path | str, unit: str) -> Scan:
 
     Raises `InputError` where the file is no mesh, broken beyond mending, or its size in this unit is no head's.
     """
-    import trimesh
-
     path = Path(path)
     if unit not in METRES_PER:
         raise InputError(
@@ -52,16 +51,8 @@ def load_scan(path: Path | str, unit: str) -> Scan:
         )
     if not path.exists():
         raise InputError(f"no scan at {path}", expected="a mesh file", remedy="Set scan.file in the session file.")
-    try:
-        mesh = trimesh.load(path, process=False, force="mesh")
-        vertices, triangles = np.array(mesh.vertices, float), np.array(mesh.faces, np.int32).reshape(-1, 3)
-    except Exception as error:
-        raise InputError(
-            f"{path.name} cannot be read ({error})",
-            expected="a whole PLY, OBJ, STL, OFF or GLB mesh",
-            remedy="Export the scan again.",
-        ) from error
-    return check_scan(vertices * METRES_PER[unit], triangles, _vertex_colours(mesh), unit=unit)
+    vertices, triangles, colours = read_coloured_mesh(path, remedy="Export the scan again.")
+    return check_scan(vertices * METRES_PER[unit], triangles, colours, unit=unit)
 
 
 def check_scan(vertices: NDArray, triangles: NDArray, colours: NDArray | None = None, *, unit: str = "m") -> Scan:
@@ -101,16 +92,6 @@ def check_size(vertices: NDArray, unit: str) -> None:
         expected=f"a head and shoulders, {low} to {high} m",
         remedy=remedy,
     )
-
-
-def _vertex_colours(mesh) -> NDArray | None:
-    visual = mesh.visual
-    if visual is None or not visual.defined:
-        return None
-    if visual.kind == "texture":
-        visual = visual.to_color()
-    colours = np.asarray(visual.vertex_colors)
-    return np.ascontiguousarray(colours[:, :3], np.uint8) if len(colours) == len(mesh.vertices) else None
 
 
 def _welded(vertices: NDArray, triangles: NDArray, colours: NDArray | None, notes: list[str]) -> tuple:
