@@ -21,7 +21,7 @@ from headcap.lips.mouth import Mouth
 from headcap.lips.people import registered_neutral
 from headcap.lips.takes import MouthSpace, SeenTake
 from headcap.meshes.rasteriser import rasterise
-from headcap.registration.face_correspondence import Correspondence, NeutralFace, correspond, same_topology
+from headcap.registration.face_correspondence import Correspondence, NeutralFace, correspond, face_skin, same_topology
 from headcap.registration.graph import edge_graph
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
@@ -102,7 +102,7 @@ def correspondence_of(model: HeadModel, mouth: Mouth, neutral: NDArray, true: Tr
         return same_topology(true.neutral, true.triangles)
     names = [name for name in true.landmarks if name not in _ELSEWHERE]
     marks = {name: vertex for name, vertex in (model.landmarks | _lip_middles(model, mouth)).items() if name in names}
-    own = NeutralFace(neutral, model.triangles, {name: neutral[vertex] for name, vertex in marks.items()}, _skin(model))
+    own = NeutralFace.of(neutral, model.triangles, marks, model.regions)
     theirs = {name: true.neutral[true.landmarks[name]] for name in marks}
     if len(marks) < _LEAST_LANDMARKS:
         raise _refused(
@@ -163,7 +163,7 @@ def placed_neutral(model: HeadModel, neutral: NDArray, true: TrueMeshes, tie: Co
     """The true face at rest in the head model's topology, and by which skin the tracked one (n, 3) is laid on it."""
     if np.array_equal(model.triangles, true.triangles):
         return registered_neutral(model, neutral, true.neutral)
-    carried, skin = tie.carry(true.neutral), np.flatnonzero(tie.matched & _skin(model))
+    carried, skin = tie.carry(true.neutral), np.flatnonzero(tie.matched & face_skin(model.regions))
     return TrueNeutral(carried, skin, carried[skin])
 
 
@@ -175,13 +175,6 @@ def _lip_middles(model: HeadModel, mouth: Mouth) -> dict[str, int]:
         "lip_upper_top": int(mouth.outline[upper][across[upper].argmin()]),
         "lip_lower_bottom": int(mouth.outline[lower][across[lower].argmin()]),
     }
-
-
-def _skin(model: HeadModel) -> NDArray[np.bool_]:
-    """(n,) face and lips, without eyes and the mouth's inside."""
-    none = np.zeros(len(model.vertices), bool)
-    skin = np.any([mask for name, mask in model.regions.items() if name == "face" or name.startswith("lips")], axis=0)
-    return skin & ~model.regions.get("eyes", none) & ~model.regions.get("mouth_interior", none)
 
 
 def _looking(middle: NDArray, out: NDArray, up: NDArray) -> Camera:

@@ -21,8 +21,6 @@ from headcap.registration.face_correspondence import NeutralFace, correspond
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
 
-_SKIN, _NO_SKIN = ("face", "lips_outer", "lips_inner"), ("eyes", "mouth_interior")
-
 
 @dataclass(frozen=True)
 class BaseTrackFiles:
@@ -54,8 +52,7 @@ class _Person:
 
     def face(self) -> NeutralFace:
         """As `correspond` takes it."""
-        points = {name: self.vertices[vertex] for name, vertex in self.landmarks.items()}
-        return NeutralFace(self.vertices, self.triangles, points, _skin(self.regions))
+        return NeutralFace.of(self.vertices, self.triangles, self.landmarks, self.regions)
 
 
 def load_base_track(
@@ -124,7 +121,7 @@ def _of_meshes(files: BaseTrackFiles, meshes: NDArray, model: HeadModel, mouth: 
 def _tied(person: _Person, meshes: NDArray, model: HeadModel, time_s: NDArray) -> MeshTrack:
     """Meshes (f, N, 3) of a person's topology as a track of the head model."""
     vertices = np.asarray(model.vertices, float)
-    own = _Person(vertices, model.triangles, dict(model.landmarks), dict(model.regions)).face()
+    own = NeutralFace.of(vertices, model.triangles, model.landmarks, model.regions)
     registered = correspond(own, person.face()).registered
     return mesh_track(model, meshes, time_s, person.vertices, person.triangles, registered)
 
@@ -174,11 +171,3 @@ def _check_frames(path: Path, found: int, wanted: int) -> None:
         raise InputError(
             f"{path.name} of {found} frames", expected=f"{wanted}, as the video", remedy="Export one row per frame of the video."
         )
-
-
-def _skin(regions: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
-    """(n,) face and lips without eyes and the mouth's inside; None where regions do not name them."""
-    if not all(name in regions for name in _SKIN):
-        return None
-    inside = [regions[name] for name in _NO_SKIN if name in regions]
-    return np.any([regions[name] for name in _SKIN], axis=0) & ~np.any(inside, axis=0)

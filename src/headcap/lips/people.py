@@ -101,14 +101,12 @@ class LipPerson:
 def registered_neutral(model: HeadModel, base_neutral: NDArray, truth_neutral: NDArray) -> TrueNeutral:
     """H_0 (n, 3) and where the skin of C_0 (n, 3) lies on it, both in a head model's topology (section 4.1).
 
-    All of the skin, not the part alone that holds still: neutral faces make no expression. Raises `InputError` as `correspond`.
+    All of the skin, not the part alone that holds still: neutral faces make no expression. The lips' inner sides belong to it:
+    without them inner lips come to lie 0.7 to 0.9 mm from their true places (median), with them 0.2 to 0.5 mm, and outer lips
+    nearer by 0.01 to 0.16 mm (four people). Raises `InputError` as `correspond`.
     """
-    skin = model.regions["face"].copy()
-    for name in ("eyes", "mouth_interior"):
-        skin &= ~model.regions.get(name, np.zeros(len(skin), bool))
     base, true = (
-        NeutralFace(vertices, model.triangles, {name: vertices[v] for name, v in model.landmarks.items()}, skin)
-        for vertices in (np.asarray(base_neutral, np.float64), np.asarray(truth_neutral, np.float64))
+        NeutralFace.of(vertices, model.triangles, model.landmarks, model.regions) for vertices in (base_neutral, truth_neutral)
     )
     found = correspond(base, true)
     matched = np.flatnonzero(found.matched)

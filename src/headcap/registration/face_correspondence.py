@@ -6,6 +6,7 @@ keep their own correspondence over time.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,6 +39,7 @@ _ON_EDGE = 1e-6
 """Share of a corner below which a point lies on the edge opposite to it."""
 _ON_SKIN_M = 5e-3
 """Landmarks farther from the skin (ears, crown) place the face and bend nothing."""
+_SKIN, _NO_SKIN = ("face", "lips_outer", "lips_inner"), ("eyes", "mouth_interior")
 _ARRAYS = ("triangle", "local", "matched", "of_triangle", "rig_triangles", "registered")
 
 
@@ -79,6 +81,19 @@ class NeutralFace:
         object.__setattr__(self, "vertices", np.ascontiguousarray(self.vertices, np.float64))
         if self.skin is None:
             object.__setattr__(self, "skin", np.ones(len(self.vertices), bool))
+
+    @classmethod
+    def of(
+        cls,
+        vertices: NDArray,
+        triangles: NDArray[np.int32],
+        landmarks: Mapping[str, int],
+        regions: Mapping[str, NDArray[np.bool_]],
+    ) -> NeutralFace:
+        """Vertices (n, 3) metres of a topology that names vertices and regions (n,): its skin is `face_skin`'s."""
+        vertices = np.asarray(vertices, np.float64)
+        points = {name: vertices[vertex] for name, vertex in landmarks.items()}
+        return cls(vertices, triangles, points, face_skin(regions))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +141,14 @@ class Correspondence:
         """Read what `save` wrote; raises `ArtifactError`."""
         arrays, meta = load_arrays(path, KIND, SCHEMA)
         return cls(**arrays, figures=meta["figures"])
+
+
+def face_skin(regions: Mapping[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
+    """(n,) of a head model's regions (n,): face and lips, without eyes and the mouth's inside; None where face or lips lack."""
+    if not all(name in regions for name in _SKIN):
+        return None
+    inside = [regions[name] for name in _NO_SKIN if name in regions]
+    return np.any([regions[name] for name in _SKIN], axis=0) & ~np.any(inside, axis=0)
 
 
 def same_topology(neutral: NDArray, triangles: NDArray) -> Correspondence:

@@ -18,6 +18,7 @@ from headcap.registration.face_correspondence import (
     FaceCorrespondenceSettings,
     NeutralFace,
     correspond,
+    face_skin,
     landmark_points,
     same_topology,
 )
@@ -26,11 +27,6 @@ from headcap.synthetic.mesh_takes import mesh_subject
 
 NAMES = tuple(base_head().landmarks)
 SIZE = 1.1
-
-
-def skin_of(regions):
-    skin = np.any([regions[name] for name in regions if name == "face" or name.startswith("lips_")], axis=0)
-    return skin & ~regions["eyes"] & ~regions["mouth_interior"]
 
 
 class Twin:
@@ -43,7 +39,7 @@ class Twin:
         self.number = np.argsort(self.order)
         self.triangles = self.number[self.step.triangles].astype(np.int32)
         self.place = from_vector(np.array([0.2, -0.1, 0.3, 0.5, 0.2, 1.0]))
-        self.skin = self.step.carry_mask(skin_of(self.head.regions))[self.order]
+        self.skin = self.step.carry_mask(face_skin(procedural_model().regions))[self.order]
         self.neutral = self.of(neutral)
 
     def of(self, mesh):
@@ -57,9 +53,8 @@ class Twin:
 
 @pytest.fixture(scope="module")
 def base():
-    head = base_head()
-    landmarks = {name: head.vertices[head.landmarks[name]] for name in NAMES}
-    return NeutralFace(head.vertices, head.triangles, landmarks, skin_of(head.regions))
+    head = procedural_model()
+    return NeutralFace.of(head.vertices, head.triangles, head.landmarks, head.regions)
 
 
 @pytest.fixture(scope="module")
@@ -216,6 +211,17 @@ def test_a_rig_that_is_somewhere_else_is_refused(base, twin):
         correspond(base, twin.face(landmarks=far), FaceCorrespondenceSettings(lengths_mm=(30.0,), rounds=1))
 
 
+def test_skin_is_face_and_lips_without_what_is_behind_them():
+    regions = procedural_model().regions
+    skin = face_skin(regions)
+    assert skin[regions["lips_outer"]].all()
+    assert skin[regions["lips_inner"] & ~regions["mouth_interior"]].all()
+    assert not (skin & (regions["eyes"] | regions["mouth_interior"])).any()
+    assert not (skin & ~(regions["face"] | regions["lips_outer"] | regions["lips_inner"])).any()
+    assert face_skin({name: regions[name] for name in ("face", "lips_outer")}) is None
+    assert face_skin({name: regions[name] for name in ("face", "lips_outer", "lips_inner")}).sum() >= skin.sum()
+
+
 @pytest.mark.real
 def test_two_head_models_correspond(test_data):
     own, other = procedural_model(), load_ict(test_data / "ict_head")
@@ -224,11 +230,7 @@ def test_two_head_models_correspond(test_data):
     names = [name for name in own.landmarks if name in other.landmarks and name not in (*told, *wings)]
 
     def face(model):
-        vertices, inside = model.vertices.astype(float), model.regions.get("mouth_interior", False)
-        skin = (
-            (model.regions["face"] | model.regions["lips_outer"] | model.regions["lips_inner"]) & ~model.regions["eyes"] & ~inside
-        )
-        return NeutralFace(vertices, model.triangles, {name: vertices[model.landmarks[name]] for name in names}, skin)
+        return NeutralFace.of(model.vertices, model.triangles, {name: model.landmarks[name] for name in names}, model.regions)
 
     rig = face(other)
     found = correspond(face(own), rig)
