@@ -25,7 +25,7 @@ from headcap.evaluation.lip_errors import LipErrors
 from headcap.evaluation.lip_truth import TrueMeshes, carried_meshes, correspondence_of, judge_against, placed_neutral
 from headcap.evaluation.truth import Truth
 from headcap.lips.clips import Clip, ClipFiles, video_clip
-from headcap.lips.contours import MouthLocator, adapt_detector, mesh_examples
+from headcap.lips.contours import adapt_detector, mesh_examples
 from headcap.lips.contours.settings import BoostingSettings
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.mesh_contours import MeshContours
@@ -51,15 +51,14 @@ def run(out_path: Path) -> None:
         write(out_path, ours={"name": f"not measured, for want of {' and '.join(missing)}", "seconds": 0.0, "cpu_seconds": 0.0})
         return
     kit, truth, figures = LipKit.load(KIT), Truth(DATA / "truth"), {}
-    space = MouthSpace(kit.head, kit.regressor.mouth(kit.head), kit.regressor.mouth_settings, kit.regressor.space)
-    adapted = _adapted(kit, space, out_path.parent)
+    adapted = _adapted(kit, out_path.parent)
     took, frames, person = [], 0, _person(kit, truth)
     for take in TAKES:
         clip = video_clip(DATA / "takes" / take / f"{CAMERA}.mp4", truth.rig[CAMERA])
         true, kept = TrueMeshes.of_rig(truth, take, CAMERA, clip.time_s), {}
         took.append(measure(lambda kept=kept, clip=clip, true=true: kept.update(_made(adapted, clip, true, person))))
         frames += len(clip)
-        figures |= _figures(take, _judged(kit, space, clip, kept["track"], kept["done"], true, take))
+        figures |= _figures(take, _judged(kit, clip, kept["track"], kept["done"], true, take))
     total = {key: sum(one[key] for one in took) / frames for key in took[0]}
     write(out_path, ours={"name": "a frame tracked, its contours found and corrected", **total}, figures=figures)
 
@@ -86,14 +85,14 @@ def _made(kit: LipKit, clip: Clip, true: TrueMeshes, person: MonocularPerson) ->
     return {"track": track, "done": kit.correct(clip, track)}
 
 
-def _adapted(kit: LipKit, space: MouthSpace, folder: Path) -> LipKit:
+def _adapted(kit: LipKit, folder: Path) -> LipKit:
     """The kit with its detector adapted to a few frames of each take, labelled by the rig's own tracked meshes."""
     if not all((TRACKED / "track" / take / "sequence.json").exists() for take in TAKES):
         return kit
     camera, alone = load_camera(TRACKED / "calibrate" / "rig.json", CAMERA), folder / "lips_unseen.camera.json"
     folder.mkdir(parents=True, exist_ok=True)
     save_cameras(alone, Rig((camera,)))
-    see, locate = _contours(space), MouthLocator.of(space.mouth, space.features)
+    see, locate = _contours(kit.space), kit.finder.locator
     examples = []
     for take in TAKES:
         sync, ingested = TRACKED / "sync", TRACKED / "ingest" / f"{take}.json"
@@ -107,11 +106,9 @@ def _adapted(kit: LipKit, space: MouthSpace, folder: Path) -> LipKit:
     return replace(kit, detector=adapt_detector(kit.detector, examples, BoostingSettings().trees))
 
 
-def _judged(
-    kit: LipKit, space: MouthSpace, clip: Clip, track: MonocularTrack, done: CorrectedClip, true: TrueMeshes, take: str
-) -> LipErrors:
+def _judged(kit: LipKit, clip: Clip, track: MonocularTrack, done: CorrectedClip, true: TrueMeshes, take: str) -> LipErrors:
     """Base, GR and GR with the outer contour held; then with true contours, layer and head at rest in turn."""
-    seen, identity = done.take, kit.regressor.identity
+    space, seen, identity = kit.space, done.take, kit.regressor.identity
     tie = correspondence_of(space.model, space.mouth, seen.neutral, true)
     meshes = np.stack(list(carried_meshes(tie, true, len(seen))))
     see = _contours(space)

@@ -17,7 +17,7 @@ from headcap.evaluation.truth import Truth
 from headcap.lips.contours import ContourSequence
 from headcap.lips.kit import LipKit
 from headcap.lips.monocular import MonocularTrack
-from headcap.lips.takes import MouthSpace, SeenTake
+from headcap.lips.takes import SeenTake
 from headcap.lips.training import regressed
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
@@ -50,8 +50,7 @@ def judge_lips(request: TruthRequest) -> tuple[LipErrors, list[str]]:
     kit, camera = LipKit.load(request.kit), load_camera(request.results / "camera.json")
     track = MonocularTrack.load(request.results / "track.npz")
     contours = ContourSequence.load(request.results / "contours.npz")
-    space = MouthSpace(kit.head, kit.regressor.mouth(kit.head), kit.regressor.mouth_settings, kit.regressor.space)
-    seen = SeenTake.of(space, track, camera, contours.contours())
+    seen = SeenTake.of(kit.space, track, camera, contours.contours())
     parameters = regressed(kit.regressor, {"clip": seen})["clip"]
     identity = kit.regressor.identity
     corrected = {
@@ -59,7 +58,7 @@ def judge_lips(request: TruthRequest) -> tuple[LipErrors, list[str]]:
         HELD: MeshSequence.load(request.results / "corrected.json").positions(),
     }
     true = _true_meshes(request, camera.name, track.time_s)
-    errors = judge_against(space, seen, corrected, true, track.time_s, person="", take=request.truth.stem)
+    errors = judge_against(kit.space, seen, corrected, true, track.time_s, person="", take=request.truth.stem)
     _save(request, errors)
     return errors, table(errors)
 
