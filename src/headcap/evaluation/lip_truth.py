@@ -64,6 +64,7 @@ class TrueMeshes:
         starts = np.cumsum([0, *(len(part) for part in parts)])
 
         def at(frame: int) -> NDArray[np.float64] | None:
+            """From its chunk's memory map."""
             part = int(np.searchsorted(starts, frame, side="right")) - 1
             mesh = np.asarray(parts[part][frame - starts[part]], np.float64)
             return mesh if np.isfinite(mesh).all() else None
@@ -84,6 +85,7 @@ class TrueMeshes:
         true, shift_s = truth.take(take), starts[camera] - float(time_s[0])
 
         def at(frame: int) -> NDArray[np.float64] | None:
+            """Between the take's frames, at the moment the camera took this one."""
             try:
                 return true.at(shift_s + float(time_s[frame]))
             except ValueError:
