@@ -10,14 +10,11 @@ import numpy as np
 from headcap.calibration.result import load_camera, save_cameras
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
-from headcap.evaluation.lip_errors import BASE
 from headcap.lips.base_files import BaseTrackFiles, load_base_track
 from headcap.lips.clips import video_clip
 from headcap.lips.foreign_tracks import BaseTrack
 from headcap.lips.kit import LipKit
-from headcap.report.lip_clip_video import write_overlay
-from headcap.report.lips_pictures import write_clip_side_by_side
-from headcap.workflow.lips import save_corrected
+from headcap.workflow.lips import save_corrected, show_corrected, told_frames
 
 __all__ = ["BaseTrackFiles", "correct_base_track"]
 
@@ -51,14 +48,8 @@ def correct_base_track(
     corrected.contours.save(folder / "contours.npz")
     save_cameras(folder / "camera.json", Rig((clip.camera,)))
     save_corrected(folder, clip, kit, corrected, [videos[0], kit_file, camera, *files.given], camera_name)
-    sequences = {BASE: corrected.take.base.world(corrected.take.base.meshes), "GR": corrected.meshes}
-    mouth = corrected.take.space.mouth.vertices
-    write_clip_side_by_side(folder / "side_by_side.mp4", clip, kit.head.triangles, sequences, mouth)
-    write_overlay(folder / "overlay.mp4", clip, corrected, videos[0])
-    unseen = int((track.answered & ~corrected.contours.found).sum())
-    lines = [f"{int(corrected.answered.sum())} of {len(clip)} frames corrected"]
-    lines += [f"the base track has no answer in {int((~track.answered).sum())} frames"] if not track.answered.all() else []
-    return lines + ([f"lip contours were not found in {unseen} further frames"] if unseen else [])
+    show_corrected(folder, clip, corrected, videos[0])
+    return told_frames(track, corrected, "the base track lacks {} frames")
 
 
 def _in_view(kit: LipKit, track: BaseTrack, camera: Camera) -> bool:

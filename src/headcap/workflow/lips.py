@@ -17,6 +17,7 @@ from headcap.evaluation.lip_errors import BASE
 from headcap.evaluation.metrics import save_metrics
 from headcap.heads.procedural import base_head
 from headcap.lips.clips import Clip, video_clip
+from headcap.lips.foreign_tracks import BaseTrack
 from headcap.lips.kit import CorrectedClip, LipKit
 from headcap.lips.monocular import FrameState, MonocularTrack, load_detections, unknown_camera
 from headcap.lips.monocular.detail import detailed_meshes
@@ -144,12 +145,10 @@ def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) 
     save_corrected(folder, clip, kit, corrected, [path for path in given if path is not None], request.camera_name)
     if request.detail:
         _save_detail(folder, seen, kit, track, corrected)
-    sequences = {BASE: corrected.take.base.world(corrected.take.base.meshes), "GR": corrected.meshes}
-    mouth = corrected.take.space.mouth.vertices
-    write_clip_side_by_side(folder / "side_by_side.mp4", seen, kit.head.triangles, sequences, mouth)
-    write_overlay(folder / "overlay.mp4", seen, corrected, request.video)
+    show_corrected(folder, seen, corrected, request.video)
     judge_clip(request.video.stem, kit.head, track, corrected, words).save(folder / "clip.npz")
-    return _told(track, corrected)
+    restarted = sum(state is FrameState.RESTARTED for state in track.states)
+    return told_frames(track, corrected, f"the face was lost in {{}} frames and found again {restarted} times")
 
 
 def _save_detail(folder: Path, seen: Clip, kit: LipKit, track: MonocularTrack, corrected: CorrectedClip) -> None:
@@ -208,6 +207,25 @@ def save_corrected(
     )
 
 
+def show_corrected(folder: Path, clip: Clip, corrected: CorrectedClip, video: Path) -> None:
+    """Write `side_by_side.mp4`, base track beside correction, and `overlay.mp4`, the correction over the video with its sound."""
+    take = corrected.take
+    sequences = {BASE: take.base.world(take.base.meshes), "GR": corrected.meshes}
+    write_clip_side_by_side(folder / "side_by_side.mp4", clip, take.space.model.triangles, sequences, take.space.mouth.vertices)
+    write_overlay(folder / "overlay.mp4", clip, corrected, video)
+
+
+def told_frames(track: BaseTrack, corrected: CorrectedClip, lost: str) -> list[str]:
+    """Lines of how many frames have an answer and why others have none; `lost` says so of a number {} the base track lacks."""
+    lacking, unseen = int((~track.answered).sum()), int((track.answered & ~corrected.contours.found).sum())
+    lines = [f"{int(corrected.answered.sum())} of {len(corrected.answered)} frames corrected"]
+    if lacking:
+        lines.append(f"{lost.format(lacking)}; these frames have no answer")
+    if unseen:
+        lines.append(f"lip contours were not found in {unseen} further frames; these frames have no answer")
+    return lines
+
+
 def _template(kit: LipKit, corrected: CorrectedClip) -> Template:
     """The person's neutral head, as other programs want to know the meshes' topology."""
     head, base = kit.head, base_head()
@@ -216,15 +234,3 @@ def _template(kit: LipKit, corrected: CorrectedClip) -> Template:
         return base.with_vertices(neutral)
     uv = np.zeros((1, 2))
     return Template(neutral, head.triangles, uv, np.zeros_like(head.triangles), dict(head.regions), dict(head.landmarks))
-
-
-def _told(track: MonocularTrack, corrected: CorrectedClip) -> list[str]:
-    frames, lost = len(track), int((~track.answered).sum())
-    unseen = int((track.answered & ~corrected.contours.found).sum())
-    restarted = sum(state is FrameState.RESTARTED for state in track.states)
-    lines = [f"{int(corrected.answered.sum())} of {frames} frames corrected"]
-    if lost:
-        lines.append(f"the face was lost in {lost} frames and found again {restarted} times; these frames have no answer")
-    if unseen:
-        lines.append(f"lip contours were not found in {unseen} further frames; these frames have no answer")
-    return lines
