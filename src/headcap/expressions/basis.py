@@ -12,6 +12,8 @@ from headcap.artifacts import load_arrays, save_arrays
 
 KIND, SCHEMA = "expression_basis", 1
 QUASI_KIND, QUASI_SCHEMA = "quasi_eigen_faces", 1
+_NO_OFFSET = 1e-5
+"""So small a share of mu is single precision's rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,25 @@ class Eigenfaces:
     def rows(self) -> NDArray[np.float32]:
         """The axes as rows (m, 3 n) of a matrix."""
         return self.vectors.reshape(len(self), -1)
+
+    @property
+    def offset(self) -> NDArray[np.float32]:
+        """(n, 3) from the neutral face to the hyperplane, metres: what of mu no axis tells, and eq. 4 adds to every shape."""
+        rows, mean = self.rows.astype(np.float64), self.mean.ravel().astype(np.float64)
+        return (mean - (rows @ mean) @ rows).astype(np.float32).reshape(self.mean.shape)
+
+    def through_neutral(self) -> Eigenfaces:
+        """The axes and one more, the direction of `offset`, so that the hyperplane runs through the neutral face.
+
+        Sums of eq. 5 begin at the neutral face, not at mu: without this axis the offset ties shapes to each other, and k shapes
+        span k - 1 directions of the hyperplane. The performance does not vary along it.
+        """
+        offset = self.offset.astype(np.float64)
+        length = np.linalg.norm(offset)
+        if length <= _NO_OFFSET * np.linalg.norm(self.mean):
+            return self
+        vectors = np.concatenate([self.vectors, (offset / length).astype(np.float32)[None]])
+        return Eigenfaces(self.mean, vectors, np.append(self.variances, 0.0), self.total_variance)
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,3 +65,14 @@ def test_performances_join_in_order(rng):
 def test_performances_of_other_neutral_faces_do_not_join(rng):
     with pytest.raises(ValueError, match="another neutral"):
         joined([performance(rng, 5), performance(rng, 5, np.ones((4, 3)), "other")])
+
+
+def test_a_hyperplane_through_the_neutral_face_has_no_offset(rng):
+    axes = np.linalg.qr(rng.normal(size=(12, 3)))[0].T.reshape(3, 4, 3).astype(np.float32)
+    eigen = Eigenfaces(rng.normal(size=(4, 3)).astype(np.float32), axes, np.array([3.0, 2.0, 1.0]), 8.0)
+    through = eigen.through_neutral()
+    # single precision of numbers near 1
+    np.testing.assert_allclose(through.rows @ through.rows.T, np.eye(4), atol=1e-6)
+    assert np.abs(through.offset).max() < 1e-6 < np.abs(eigen.offset).max()
+    np.testing.assert_allclose(through.coverage, [*eigen.coverage, eigen.coverage[-1]])
+    assert len(through.through_neutral()) == len(through)
