@@ -1,4 +1,4 @@
-"""Writing a recording, H.264 and where there is sound AAC, in mp4, frame by frame."""
+"""Writing pictures: a recording, H.264 and where there is sound AAC, in mp4, frame by frame, or one alone as PNG."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,6 +50,16 @@ def write_video(
         container.mux(picture.encode(None))
         if track is not None:
             container.mux(track.encode(None))
+
+
+def write_picture(path: Path | str, picture: NDArray[np.uint8]) -> None:
+    """Write one picture (height, width, 3), BGR as `VideoFrames` gives them, to a PNG that appears whole or not at all.
+
+    Packed quickly: packed as tightly as can be a file is a third smaller and takes thirty times as long.
+    """
+    coded = cv2.imencode(".png", picture)[1]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(coded.tobytes())
 
 
 def _picture_stream(container: av.container.OutputContainer, size: tuple[int, int], rate_hz: float, crf: float) -> av.VideoStream:

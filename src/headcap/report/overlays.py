@@ -13,12 +13,12 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
-from headcap.artifacts import atomic_path
 from headcap.cameras import Camera
 from headcap.geometry.transforms import rigid
 from headcap.meshes.normals import vertex_normals
 from headcap.meshes.rasteriser import Raster, rasterise
 from headcap.meshes.topology import mesh_edges
+from headcap.recordings.writer import write_picture
 
 Image = NDArray[np.uint8]
 ACCENT = (0, 168, 150)
@@ -181,9 +181,8 @@ def png_uri(image: Image, colours: int = 128) -> str:
 
 
 def save_png(path: Path | str, image: Image) -> None:
-    """Write an image as PNG, whole or not at all."""
-    with atomic_path(path) as temporary:
-        PillowImage.fromarray(image).save(temporary, format="PNG", optimize=True)
+    """Write an RGB image as PNG, whole or not at all."""
+    write_picture(path, image[..., ::-1])
 
 
 def load_image(path: Path | str) -> Image:

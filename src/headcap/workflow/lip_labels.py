@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.artifacts import atomic_path, digest_settings, write_manifest
+from headcap.artifacts import digest_settings, write_manifest
 from headcap.calibration.result import load_camera
 from headcap.errors import InputError
 from headcap.lips.clips import Clip, video_clip
@@ -34,6 +33,7 @@ from headcap.lips.kit import LipKit
 from headcap.lips.mesh_contours import MeshContours
 from headcap.lips.monocular import MonocularTrack
 from headcap.recordings.video import VideoFrames
+from headcap.recordings.writer import write_picture
 
 
 def show_labels(video: Path, labels: Path, folder: Path) -> list[str]:
@@ -54,8 +54,8 @@ def show_labels(video: Path, labels: Path, folder: Path) -> list[str]:
         )
     folder.mkdir(parents=True, exist_ok=True)
     for frame, tile in tiles.items():
-        _save_picture(folder / f"frame_{frame:06d}.png", tile)
-    _save_picture(folder / "labels.png", label_sheet(list(tiles.values())))
+        write_picture(folder / f"frame_{frame:06d}.png", tile)
+    write_picture(folder / "labels.png", label_sheet(list(tiles.values())))
     return [*told, f"{len(tiles)} labelled frames, {_wrong(told)}"]
 
 
@@ -179,8 +179,3 @@ def _chosen(track: MonocularTrack, frames: Sequence[int] | None, count: int) -> 
 
 def _wrong(faults: Sequence[str]) -> str:
     return "nothing wrong with them" if not faults else "1 thing wrong" if len(faults) == 1 else f"{len(faults)} things wrong"
-
-
-def _save_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(cv2.imencode(".png", picture)[1].tobytes())

@@ -1,11 +1,12 @@
 """What is written is read again: pictures, their moments with gaps, and the sound."""
 
+import cv2
 import numpy as np
 import pytest
 
 from headcap.recordings.audio import read_audio
 from headcap.recordings.video import VideoFrames
-from headcap.recordings.writer import write_video
+from headcap.recordings.writer import write_picture, write_video
 
 
 @pytest.fixture
@@ -49,3 +50,9 @@ def test_a_failure_leaves_no_file(pictures, tmp_path):
     with pytest.raises(RuntimeError, match="camera lost"):
         write_video(tmp_path / "out.mp4", frames(), (96, 64), 25.0)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_picture_is_written_as_it_is(tmp_path):
+    picture = np.random.default_rng(3).integers(0, 256, (7, 5, 3), dtype=np.uint8)
+    write_picture(tmp_path / "one.png", picture[:, ::-1])
+    assert np.array_equal(cv2.imread(str(tmp_path / "one.png")), picture[:, ::-1])

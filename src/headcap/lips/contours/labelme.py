@@ -7,13 +7,13 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from headcap.artifacts import atomic_path
 from headcap.lips.contours.detector import CONTOURS
 from headcap.lips.features import LipContours
+from headcap.recordings.writer import write_picture
 
 _CENTRE = 0.5
 """The editor's coordinates begin at the top-left pixel's corner, ours at its centre."""
@@ -29,8 +29,7 @@ def save_labelme(folder: Path | str, labels: Mapping[int, LipContours], pictures
     folder.mkdir(parents=True, exist_ok=True)
     for frame, drawn in sorted(labels.items()):
         name = f"frame_{frame:06d}"
-        with atomic_path(folder / f"{name}.png") as temporary:
-            temporary.write_bytes(cv2.imencode(".png", pictures[frame])[1].tobytes())
+        write_picture(folder / f"{name}.png", pictures[frame])
         height, width = pictures[frame].shape[:2]
         content = {
             "version": _VERSION,

@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.artifacts import atomic_path
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
 from headcap.lips.inpainting.figure import inpainting_figure
@@ -27,7 +26,7 @@ from headcap.lips.inpainting.takes import MeshMotion, TrackedTake
 from headcap.lips.inpainting.texture import LipTexture, lip_texture
 from headcap.recordings.frames import TakeFrames
 from headcap.recordings.takes import IngestedTake
-from headcap.recordings.writer import write_video
+from headcap.recordings.writer import write_picture, write_video
 from headcap.registration.sequence import joined
 from headcap.registration.template import Template
 
@@ -141,6 +140,4 @@ def _save_figure(path: Path | str, rows: list[NDArray[np.uint8]]) -> None:
     """Rows of the figure, a wider one left with white beside the narrower ones."""
     width = max(row.shape[1] for row in rows)
     padded = [cv2.copyMakeBorder(row, 0, _GAP_PX, 0, width - row.shape[1], cv2.BORDER_CONSTANT, value=(255,) * 3) for row in rows]
-    coded = cv2.imencode(".png", np.concatenate(padded))[1]
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(coded.tobytes())
+    write_picture(path, np.concatenate(padded))

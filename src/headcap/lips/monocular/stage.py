@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from headcap.artifacts import atomic_path
 from headcap.calibration.result import save_cameras
 from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
@@ -22,6 +21,7 @@ from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.sequence import MonocularTrack, track_video
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.surface import Estimate, FaceSurface
+from headcap.recordings.writer import write_picture
 
 _SHOWN, _HEIGHT_PX = 8, 320
 
@@ -53,7 +53,7 @@ def track_clip(
     found = followed_clip(model, replace(clip, open_pictures=pictures), settings, detections, person)
     found.save(track)
     save_cameras(camera, Rig((found.camera(clip.camera),)))
-    _save_picture(picture, sheet(model, clip.camera, found, kept, settings))
+    write_picture(picture, sheet(model, clip.camera, found, kept, settings))
     return track_figures(found)
 
 
@@ -136,9 +136,3 @@ def _estimate(track: MonocularTrack, camera: Camera, number: int) -> Estimate | 
     camera_from_head = camera.camera_from_world @ track.placement[number]
     log_focal = float(np.log(track.focal_ratio))
     return Estimate(camera_from_head, track.jaw[number], track.expression[number], track.shape, log_focal)
-
-
-def _save_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    coded = cv2.imencode(".png", picture)[1]
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(coded.tobytes())
