@@ -62,7 +62,22 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--template", type=Path, help="template or start.npz whose triangles a sequence has")
 
     _add_neck_commands(add)
+    _add_lip_commands(add)
+    _add_schema(add)
+    return parser
 
+
+def _add_schema(add: Callable[..., argparse.ArgumentParser]) -> None:
+    """`schema`."""
+    schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
+    schema.add_argument("--folder", type=Path, default=Path("config/schema"))
+    mode = schema.add_mutually_exclusive_group(required=True)
+    mode.add_argument("--write", action="store_true", help="write them")
+    mode.add_argument("--check", action="store_true", help="exit with 1 where they are not in step with the settings")
+
+
+def _add_lip_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
+    """`lips`, `lip-labels` and `lip-errors`."""
     lips = add("lips", _lips, "The face in a single video, tracked, with its lips corrected by what a rig has taught.")
     lips.add_argument(
         "videos", type=Path, nargs="+", metavar="video", help="any video of one face, seen from the front where it begins"
@@ -95,17 +110,8 @@ def _parser() -> argparse.ArgumentParser:
     lips.add_argument(
         "--out", type=Path, required=True, help="folder to write, lips.html in it; one in it for each of several videos"
     )
-
     _add_lip_label_commands(add)
-
     _add_lip_errors(add)
-
-    schema = add("schema", _schema, "Write or check the JSON schemas of session and study files.")
-    schema.add_argument("--folder", type=Path, default=Path("config/schema"))
-    mode = schema.add_mutually_exclusive_group(required=True)
-    mode.add_argument("--write", action="store_true", help="write them")
-    mode.add_argument("--check", action="store_true", help="exit with 1 where they are not in step with the settings")
-    return parser
 
 
 def _add_lip_label_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
