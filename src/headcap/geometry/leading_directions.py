@@ -2,7 +2,9 @@
 
 Rows that can be read again are read pass after pass, from files or made anew, in blocks of any size; nothing but the directions
 is kept. `principal_components` takes a set number of passes in single precision, which serves the many columns of meshes;
-`leading_directions` goes on until nothing is gained and may start near the answer, which serves what is found again and again.
+`leading_directions` goes on until nothing is gained and may start near the answer, which serves what is found again and again,
+and `covering_directions`, which takes as many as hold a share of the energy. Where rows or columns are few, `exact_directions`
+decomposes their products, which is exact.
 Rows that are dear to make are taken in once, as they come (`RowSketch`): twice the directions are kept, and what these cut off
 is lost.
 """
@@ -23,6 +25,8 @@ OVERSAMPLING = 10
 SETTLED, MOST_PASSES = 1e-3, 12
 LEAST = 1e-4
 """Directions whose singular value is below this share of the largest are single precision's rounding."""
+_FIRST = 48
+"""Directions that a search for a share of the energy begins with."""
 _MERGED = 256
 """Rows that are merged at once."""
 _BLOCK = 4096
@@ -40,6 +44,10 @@ class Directions:
     """(k,) singular values, falling."""
     energy: float
     """Sum of squares of all rows."""
+
+    def first(self, count: int) -> Directions:
+        """The leading ones, at most `count`."""
+        return Directions(self.vectors[:count], self.values[:count], self.energy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +85,50 @@ def leading_directions(blocks: Blocks, columns: int, count: int, *, start: NDArr
             break
         rows = turn.T @ image
     return Directions((turn.T @ subspace)[:count], np.sqrt(np.maximum(values[:count], 0.0)), energy)
+
+
+def covering_directions(blocks: Blocks, columns: int, share: float, *, most: int, seed: int = 0) -> Directions:
+    """The fewest leading directions that hold a share of the energy; `most` of them where these do not reach it.
+
+    How many these are is not known before: the search doubles its directions and begins where the last one ended.
+    """
+    count, start = min(_FIRST, most), None
+    while True:
+        found = leading_directions(blocks, columns, count, start=start, seed=seed)
+        reached = covering(found, share)
+        if reached <= count or count == most:
+            return found.first(reached)
+        count, start = min(2 * count, most), found.vectors
+
+
+def covering(found: Directions, share: float) -> int:
+    """How many of the directions hold a share of the energy; one more than there are where they do not."""
+    # to rounding: a share of 1 is reached by all directions of an exact decomposition
+    return int(np.searchsorted(np.cumsum(found.values**2), share * found.energy * (1 - 1e-9))) + 1
+
+
+def exact_directions(blocks: Blocks, columns: int) -> Directions:
+    """All directions that single precision tells from nothing, by the products of columns, or of rows where these are fewer.
+
+    Products are summed in double. Memory is that of the rows where these are fewer, else that of columns x columns.
+    """
+    rows = sum(len(block) for block in blocks())
+    if columns <= rows:
+        squares = np.zeros((columns, columns))
+        for block in blocks():
+            squares += block.T.astype(np.float64) @ block
+        values, turn = np.linalg.eigh(squares)
+        return _told(values, lambda kept: np.ascontiguousarray(turn[:, kept].T), float(np.trace(squares)))
+    matrix = np.concatenate(list(blocks()))
+    parts = [slice(first, first + _BLOCK) for first in range(0, columns, _BLOCK)]
+    squares = sum(part @ part.T for part in (matrix[:, cut].astype(np.float64) for cut in parts))
+    values, turn = np.linalg.eigh(squares)
+
+    def vectors(kept: NDArray) -> NDArray[np.float64]:
+        back = (turn[:, kept] / np.sqrt(values[kept])).T
+        return np.concatenate([back @ matrix[:, cut] for cut in parts], axis=1)
+
+    return _told(values, vectors, float(np.trace(squares)))
 
 
 def principal_components(blocks: Blocks, columns: int, count: int, *, seed: int = 0) -> PrincipalComponents:
@@ -160,6 +212,13 @@ def _power(blocks: Blocks, subspace: NDArray) -> tuple[NDArray, float]:
 
 def _energy(rows: NDArray) -> float:
     return float(np.einsum("fc,fc->", rows, rows, dtype=np.float64))
+
+
+def _told(squares: NDArray, vectors: Callable[[NDArray], NDArray], energy: float) -> Directions:
+    """Directions of rising squared singular values, without those of rounding."""
+    kept = np.argsort(squares)[::-1]
+    kept = kept[squares[kept] > LEAST**2 * max(squares.max(initial=0.0), 0.0)]
+    return Directions(vectors(kept), np.sqrt(squares[kept]), energy)
 
 
 def _filled(start: NDArray | None, width: int, columns: int, seed: int) -> NDArray:
