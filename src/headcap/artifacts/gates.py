@@ -10,6 +10,7 @@ _MINIMA = (
     "larynx_correlation", "pose_error_drop", "expression_error_drop", "speech_error_drop", "larynx_part", "speech_part",
     "clarity", "takes", "frames", "voiced_share", "ps_error_drop", "ms_error_drop", "gr_error_drop", "shape_error_drop",
     "gr_reprojected_error_drop", "closures_shown", "base_closures_shown",
+    "hand_over_qe", "median_correlation", "own_closest_share",
 )  # fmt: skip
 
 

@@ -157,6 +157,37 @@ CATALOGUE: dict[str, FigureKind] = {
     "lips.base_closures_by_chance_pct": _stated("%", "moments of the same speech that have one near"),
     "lips.closures_shown_pct": _stated("%", "b, p and m at which the corrected lip gap has a shut minimum", at_least=True),
     "lips.closures_by_chance_pct": _stated("%", "moments of the same speech that have one near"),
+    "quasi_eigen.alpha_hand_pct": _stated(
+        "%", "hand-made basis: error of reproducing the performance over the size of the face about its centroid (eq. 6)"
+    ),
+    "quasi_eigen.alpha_pca_pct": _stated("%", "the same of the mean and as many eigenfaces as the bases are compared at"),
+    "quasi_eigen.alpha_qe_pct": _stated("%", "the same of the quasi-eigen faces, all of them"),
+    "quasi_eigen.alpha_qe_chosen_pct": _stated(
+        "%", "the same of as many quasi-eigen faces as there are eigenfaces, chosen greedily"
+    ),
+    "quasi_eigen.qe_over_pca": _stated("", "error of the quasi-eigen faces over that of the eigenfaces they were made of", 1.2),
+    "quasi_eigen.qe_chosen_over_pca": _stated("", "the same of as many quasi-eigen faces as there are eigenfaces"),
+    "quasi_eigen.hand_over_qe": _stated(
+        "", "error of the hand-made shapes over that of the quasi-eigen faces made of them", at_least=True
+    ),
+    "quasi_eigen.displacement_hand_pct": _stated("%", "error of the hand-made basis over the motion away from the neutral face"),
+    "quasi_eigen.displacement_pca_pct": _stated("%", "the same of the eigenfaces"),
+    "quasi_eigen.displacement_qe_pct": _stated("%", "the same of the quasi-eigen faces"),
+    "quasi_eigen.rms_hand_mm": _stated("mm", "reproduced to performed point, rms over points and frames, hand-made basis"),
+    "quasi_eigen.rms_pca_mm": _stated("mm", "the same of the eigenfaces"),
+    "quasi_eigen.rms_qe_mm": _stated("mm", "the same of the quasi-eigen faces"),
+    "quasi_eigen.elements": _stated("", "number at which bases are compared: eigenfaces, or shapes where these are fewer"),
+    "quasi_eigen.median_correlation": _stated(
+        "", "quasi-eigen faces with their own hand-made shapes, cosine, median over shapes exercised", at_least=True
+    ),
+    "quasi_eigen.own_closest_share": _stated(
+        "", "exercised shapes whose quasi-eigen face is closer to its own hand-made shape than to any other", at_least=True
+    ),
+    "quasi_eigen.not_exercised": _stated(
+        "", "shapes that keep less than a third of their norm: the performance does not do them"
+    ),
+    "quasi_eigen.missing_axes": _stated("", "eigenfaces that the hand-made shapes leave out"),
+    "quasi_eigen.mean_outside": _stated("", "share of the mean face outside the eigenfaces, which eq. 4 adds to every shape"),
     "speech.phi_error": _stated("mm", "weights of the speech blendshapes from sound left out of training, mean length of error"),
     "speech.phi_error_of_mean": _stated("mm", "the same of predicting the mean of the frames trained on"),
     "speech.tau_error": _stated("mm2", "slide of the larynx from sound left out of training, mean squared error"),

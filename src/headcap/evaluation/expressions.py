@@ -1,0 +1,226 @@
+"""Hand-made shapes, eigenfaces and quasi-eigen faces against one performance (quasi-eigen paper, section 5.5).
+
+Bases are compared at the same number of elements, `elements`: as many as there are principal axes, or shapes where these are
+fewer. k quasi-eigen faces of m < k axes span m + 1 directions at most, those of the m axes and their mean, so all k of them are
+also given, which is what an animator gets, beside the `elements` of them that reproduce most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from headcap.evaluation.reproduction import Progress, Reproduction, reproduction, reproductions
+from headcap.expressions import Eigenfaces, Performance, QuasiEigenFaces
+
+__all__ = ["EXERCISED", "ExpressionFigures", "Mistaken", "Reproduction", "compare_bases", "reproduction"]
+
+EXERCISED = 1 / 3
+"""A shape that keeps less of its norm on the principal axes than this is not exercised by the performance."""
+
+
+@dataclass(frozen=True)
+class Mistaken:
+    """A quasi-eigen face that looks more like another hand-made shape than like its own."""
+
+    name: str
+    closest: str
+    correlation: float
+    """Cosine with its own."""
+    closest_correlation: float
+    apart: float
+    """Of the part of the shape that is not in the closest one, the norm kept: little where only the other was performed."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExpressionFigures:
+    """k hand-made shapes, m axes, l frames of n points."""
+
+    names: tuple[str, ...]
+    """Of the hand-made shapes."""
+    time_s: NDArray[np.float64]
+    """(l,)"""
+    elements: int
+    """Number of elements at which bases are compared: the smaller of k and m."""
+    hand: Reproduction
+    """E^H, all k shapes."""
+    pca: Reproduction
+    """E^PCA, the mean and the first `elements` axes."""
+    quasi: Reproduction
+    """E^QE, all its elements, those it was augmented with among them."""
+    kept: NDArray[np.float64]
+    """(k,) norm of a hand-made displacement's part along the axes over its own: how far the performance exercises the shape.
+
+    Of the displacement e^H itself, not of e^H - mu as in eq. 3: of a shape at right angles to all that was performed, e^H - mu
+    keeps -mu, so that a strong mean would count as exercise of every shape.
+    """
+    correlation: NDArray[np.float64]
+    """(k, k) cosines of quasi-eigen faces (rows) with hand-made shapes, both as displacements from the neutral face: as seen.
+
+    Eq. 4 is the projection of e^H plus the part of the mean outside the axes. That part is nothing where the neutral face is
+    among the frames the axes cover, `mean_outside` says how much; it stays in, for an animator sees it.
+    """
+    apart: NDArray[np.float64]
+    """(k, k) norm kept of the part of shape i outside shape j; 1 on the diagonal."""
+    mean_outside: float
+    """Norm of the mean's part outside the axes over the mean's."""
+    missing: tuple[int, ...]
+    """Axes that the hand-made shapes leave out."""
+
+    @property
+    def own_correlation(self) -> NDArray[np.float64]:
+        """(k,) of each quasi-eigen face with its own hand-made shape."""
+        return np.diagonal(self.correlation)
+
+    @property
+    def exercised(self) -> NDArray[np.bool_]:
+        """(k,) shapes that keep at least `EXERCISED` of their norm."""
+        return self.kept >= EXERCISED
+
+    @property
+    def not_exercised(self) -> tuple[str, ...]:
+        """Names of the others."""
+        return tuple(name for name, used in zip(self.names, self.exercised, strict=True) if not used)
+
+    @property
+    def mistaken(self) -> tuple[Mistaken, ...]:
+        """Exercised shapes whose quasi-eigen face is closer to another hand-made shape than to its own."""
+        closest = self.correlation.argmax(axis=1)
+        return tuple(
+            Mistaken(
+                name=self.names[shape],
+                closest=self.names[closest[shape]],
+                correlation=float(self.own_correlation[shape]),
+                closest_correlation=float(self.correlation[shape, closest[shape]]),
+                apart=float(self.apart[shape, closest[shape]]),
+            )
+            for shape in np.flatnonzero(self.exercised & (closest != np.arange(len(self.names))))
+        )
+
+    @property
+    def alpha_qe_chosen_pct(self) -> float:
+        """Eq. 6 of the `elements` quasi-eigen faces that reproduce most, chosen one by one. NaN if bounded."""
+        by_size = self.quasi.alpha_by_size_pct
+        return float(by_size[min(self.elements, len(by_size) - 1)]) if len(by_size) else float("nan")
+
+    def figures(self) -> dict[str, float]:
+        """By the catalogue's names."""
+        used = self.exercised
+        own = self.own_correlation[used]
+        figures = {
+            "alpha_hand_pct": self.hand.alpha_pct,
+            "alpha_pca_pct": self.pca.alpha_pct,
+            "alpha_qe_pct": self.quasi.alpha_pct,
+            "alpha_qe_chosen_pct": self.alpha_qe_chosen_pct,
+            "qe_over_pca": _ratio(self.quasi.alpha_pct, self.pca.alpha_pct),
+            "qe_chosen_over_pca": _ratio(self.alpha_qe_chosen_pct, self.pca.alpha_pct),
+            "hand_over_qe": _ratio(self.hand.alpha_pct, self.quasi.alpha_pct),
+            "displacement_hand_pct": self.hand.displacement_pct,
+            "displacement_pca_pct": self.pca.displacement_pct,
+            "displacement_qe_pct": self.quasi.displacement_pct,
+            "rms_hand_mm": self.hand.rms_mm,
+            "rms_pca_mm": self.pca.rms_mm,
+            "rms_qe_mm": self.quasi.rms_mm,
+            "elements": self.elements,
+            "median_correlation": float(np.median(own)) if len(own) else float("nan"),
+            "own_closest_share": 1 - len(self.mistaken) / len(own) if len(own) else float("nan"),
+            "not_exercised": len(self.not_exercised),
+            "missing_axes": len(self.missing),
+            "mean_outside": self.mean_outside,
+        }
+        return {f"quasi_eigen.{name}": float(value) for name, value in figures.items()}
+
+    def to_json(self) -> dict[str, object]:
+        """All but the maps of points, as numbers, strings, lists and dicts of them."""
+        return {
+            "figures": {name: value if np.isfinite(value) else None for name, value in self.figures().items()},
+            "names": list(self.names),
+            "time_s": self.time_s.tolist(),
+            "elements": self.elements,
+            "kept": self.kept.tolist(),
+            "own_correlation": self.own_correlation.tolist(),
+            "not_exercised": list(self.not_exercised),
+            "mistaken": [asdict(shape) for shape in self.mistaken],
+            "missing": list(self.missing),
+            "bases": {name: _told(getattr(self, name)) for name in ("hand", "pca", "quasi")},
+        }
+
+
+def compare_bases(
+    performance: Performance,
+    faces: QuasiEigenFaces,
+    *,
+    bounds: tuple[float | None, float | None] | None = None,
+    progress: Progress | None = None,
+) -> ExpressionFigures:
+    """Judge E^H, E^PCA and E^QE on a performance, which may be another than they were made from (section 5.5).
+
+    Weights are free, or within `bounds` (least, largest) for hand-made and quasi-eigen faces; eigenfaces are always free. One
+    passage over the frames. Raises `InputError` for another topology.
+    """
+    elements = min(len(faces.hand), len(faces.eigen))
+    hand, pca, quasi = reproductions(
+        performance, [faces.hand, first_axes(faces.eigen, elements), faces.quasi], [bounds, None, bounds], progress
+    )
+    shapes, axes = faces.hand.rows.astype(np.float64), faces.eigen.rows.astype(np.float64)
+    mean = faces.eigen.mean.ravel().astype(np.float64)
+    kept, apart = _kept(shapes, axes)
+    return ExpressionFigures(
+        names=faces.hand.names,
+        time_s=performance.time_s,
+        elements=elements,
+        hand=hand,
+        pca=pca,
+        quasi=quasi,
+        kept=kept,
+        correlation=_cosines(faces.quasi.rows[: len(shapes)], shapes),
+        apart=apart,
+        mean_outside=_ratio(float(np.linalg.norm(mean - mean @ axes.T @ axes)), float(np.linalg.norm(mean))),
+        missing=faces.missing,
+    )
+
+
+def first_axes(eigen: Eigenfaces, count: int) -> Eigenfaces:
+    """The leading axes alone."""
+    return Eigenfaces(eigen.mean, eigen.vectors[:count], eigen.variances[:count], eigen.total_variance)
+
+
+def _kept(shapes: NDArray, axes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(k,) and (k, k): norms kept along the axes of unit shapes, and of their parts outside one another."""
+    units = shapes / np.maximum(np.linalg.norm(shapes, axis=1, keepdims=True), 1e-30)
+    along = units @ axes.T
+    cosines, kept = units @ units.T, along @ along.T
+    own, other = np.diagonal(kept)[:, None], np.diagonal(kept)[None, :]
+    # of u_ij = e_i - cos e_j, whose square is 1 - cos^2
+    parts = np.maximum(own - 2 * cosines * kept + cosines**2 * other, 0)
+    wholes = np.maximum(1 - cosines**2, 1e-12)
+    apart = np.sqrt(np.minimum(parts / wholes, 1))
+    np.fill_diagonal(apart, 1.0)
+    return np.sqrt(np.maximum(own[:, 0], 0)), apart
+
+
+def _cosines(rows: NDArray, others: NDArray) -> NDArray[np.float64]:
+    """(k, j) of vectors (k, c) with vectors (j, c); 0 where one is nought."""
+    left, right = np.asarray(rows, np.float64), np.asarray(others, np.float64)
+    norms = np.outer(np.linalg.norm(left, axis=1), np.linalg.norm(right, axis=1))
+    return np.divide(left @ right.T, norms, out=np.zeros_like(norms), where=norms > 0)
+
+
+def _ratio(value: float, reference: float) -> float:
+    return value / reference if reference > 0 else float("nan")
+
+
+def _told(basis: Reproduction) -> dict[str, object]:
+    return {
+        "alpha_pct": basis.alpha_pct,
+        "displacement_pct": basis.displacement_pct,
+        "rms_mm": basis.rms_mm,
+        "dimensions": basis.dimensions,
+        "frame_alpha_pct": basis.frame_alpha_pct.tolist(),
+        "frame_rms_mm": basis.frame_rms_mm.tolist(),
+        "region_rms_mm": dict(basis.region_rms_mm),
+        "alpha_by_size_pct": basis.alpha_by_size_pct.tolist(),
+        "order": list(basis.order),
+    }
