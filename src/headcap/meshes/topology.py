@@ -126,6 +126,21 @@ def non_manifold_vertices(triangles: NDArray, n_vertices: int) -> NDArray[np.int
     return np.flatnonzero(np.bincount(fans[:, 0], minlength=n_vertices) > 1).astype(np.int32)
 
 
+def polygon_fans(corners: NDArray, counts: NDArray) -> NDArray[np.int32]:
+    """Triangles (m, 3) of polygons, fans about first corners: corners (c,) one polygon after another, `counts` (p,) of each."""
+    corners, counts = np.asarray(corners, np.int64), np.asarray(counts, np.int64)
+    wedges = np.maximum(counts - 2, 0)
+    polygon = np.repeat(np.arange(len(counts)), wedges)
+    step = np.arange(len(polygon)) - (np.cumsum(wedges) - wedges)[polygon]
+    first = (np.cumsum(counts) - counts)[polygon]
+    return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=-1).astype(np.int32)
+
+
+def same_triangles(first: NDArray, second: NDArray) -> bool:
+    """Whether two lists of triangles (m, 3) tell one surface: in any order, beginning at any corner, but turned alike."""
+    return first.shape == second.shape and np.array_equal(_in_order(first), _in_order(second))
+
+
 def euler_characteristic(triangles: NDArray) -> int:
     """Vertices in use - edges + triangles: 2 for a sphere, 1 for a disc."""
     return int(len(np.unique(triangles)) - len(mesh_edges(triangles).vertices) + len(triangles))
@@ -140,3 +155,8 @@ def _edge_keys(triangles: NDArray, n_vertices: int) -> NDArray[np.int64]:
     """One number per directed edge, equal for both directions (sorting numbers is ten times faster than sorting rows)."""
     directed = np.sort(_directed_edges(triangles), axis=1).astype(np.int64)
     return directed[:, 0] * n_vertices + directed[:, 1]
+
+
+def _in_order(triangles: NDArray) -> NDArray:
+    turned = np.take_along_axis(triangles, (triangles.argmin(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    return turned[np.lexsort(turned.T[::-1])]

@@ -40,6 +40,20 @@ def test_defects_are_found():
     assert topology.non_manifold_edges(turned).tolist() == [[0, 1]]
 
 
+def test_polygons_become_fans_in_their_order():
+    found = topology.polygon_fans([0, 1, 2, 3, 4, 5, 6, 1, 2, 3, 4, 5], [4, 3, 5])
+    np.testing.assert_array_equal(found, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [1, 2, 3], [1, 3, 4], [1, 4, 5]])
+    assert topology.polygon_fans([], []).shape == (0, 3)
+
+
+def test_one_surface_is_known_in_any_order_and_not_inside_out(sphere, rng):
+    _, triangles = sphere
+    turned = np.roll(triangles, 1, axis=1)[rng.permutation(len(triangles))]
+    assert topology.same_triangles(triangles, turned)
+    assert not topology.same_triangles(triangles, triangles[:, ::-1])
+    assert not topology.same_triangles(triangles, triangles[1:])
+
+
 def test_components_and_growth():
     triangles = np.array([[0, 1, 2], [1, 3, 2], [4, 5, 6]])
     labels = topology.vertex_components(triangles, 7)
