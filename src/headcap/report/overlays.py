@@ -88,10 +88,14 @@ def draw_points(image: Image, camera: Camera, points: NDArray, colours: NDArray[
 
 def shade(camera: Camera, vertices: NDArray, triangles: NDArray, raster: Raster) -> NDArray[np.float64]:
     """Brightness (height, width) of a matt surface lit from a little above the camera; NaN outside."""
-    normals = vertex_normals(vertices, triangles)
-    light = camera.camera_from_world[:3, :3].T @ np.array([0.25, -0.45, -0.86])
-    values = raster.interpolate(triangles, normals) @ light
+    values = raster.interpolate(triangles, facing_light(camera, vertices, triangles)[:, None])[..., 0]
     return np.clip(0.25 + 0.75 * values, 0.08, 1.0)
+
+
+def facing_light(camera: Camera, vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Cosine (n,) between each vertex's normal and the light, a little above the camera."""
+    light = camera.camera_from_world[:3, :3].T @ np.array([0.25, -0.45, -0.86])
+    return vertex_normals(vertices, triangles) @ light
 
 
 def draw_mesh(image: Image, camera: Camera, vertices: NDArray, triangles: NDArray, *, opacity: float = 0.72) -> Image:
