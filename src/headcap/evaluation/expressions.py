@@ -164,8 +164,8 @@ def compare_bases(
     hand, pca, quasi = reproductions(
         performance, [faces.hand, first_axes(faces.eigen, elements), faces.quasi], [bounds, None, bounds], progress
     )
-    shapes, axes = faces.hand.rows.astype(np.float64), faces.eigen.rows.astype(np.float64)
-    mean = faces.eigen.mean.ravel().astype(np.float64)
+    shapes, axes = faces.hand.rows.astype(np.float64), faces.hyperplane.rows.astype(np.float64)
+    mean = faces.hyperplane.mean.ravel().astype(np.float64)
     kept, apart = _kept(shapes, axes)
     return ExpressionFigures(
         names=faces.hand.names,

@@ -122,13 +122,19 @@ class QuasiEigenFaces:
     hand: ExpressionBasis
     """E^H."""
     eigen: Eigenfaces
-    """E^PCA."""
+    """E^PCA, as many axes as there are hand-made shapes or more where frames allow: what they are compared with."""
     quasi: ExpressionBasis
     """E^QE: one shape of the same name for each hand-made one, then the eigenfaces it was augmented with."""
     coordinates: NDArray[np.float64]
     """W^PCA-to-QE (k, m) of the hand-made shapes, metres: eq. 3."""
     missing: tuple[int, ...]
-    """Principal axes that the hand-made shapes leave out (post-treatment)."""
+    """Axes of the hyperplane that the hand-made shapes leave out (post-treatment)."""
+    hyperplane: Eigenfaces = None
+    """The m axes that shapes were projected onto, E^PCA itself by default (see `Eigenfaces.through_neutral`)."""
+
+    def __post_init__(self) -> None:
+        if self.hyperplane is None:
+            object.__setattr__(self, "hyperplane", self.eigen)
 
     def save(self, path: Path | str) -> None:
         """Write as npz artifact `headcap.quasi_eigen_faces/1`."""
@@ -140,6 +146,8 @@ class QuasiEigenFaces:
             "mean": self.eigen.mean,
             "vectors": self.eigen.vectors,
             "variances": self.eigen.variances,
+            "hyperplane_vectors": self.hyperplane.vectors,
+            "hyperplane_variances": self.hyperplane.variances,
             "coordinates": self.coordinates,
             "missing": np.array(self.missing, np.int64),
         }
@@ -154,11 +162,12 @@ class QuasiEigenFaces:
     def load(cls, path: Path | str) -> QuasiEigenFaces:
         """Read what `save` wrote; raises `ArtifactError`."""
         arrays, meta = load_arrays(path, QUASI_KIND, QUASI_SCHEMA)
-        neutral, triangles = arrays["neutral"], arrays["triangles"]
+        neutral, triangles, mean, total = arrays["neutral"], arrays["triangles"], arrays["mean"], meta["total_variance"]
         return cls(
             hand=ExpressionBasis(meta["hand"], neutral, arrays["hand"], triangles),
-            eigen=Eigenfaces(arrays["mean"], arrays["vectors"], arrays["variances"], meta["total_variance"]),
+            eigen=Eigenfaces(mean, arrays["vectors"], arrays["variances"], total),
             quasi=ExpressionBasis(meta["quasi"], neutral, arrays["quasi"], triangles),
             coordinates=arrays["coordinates"],
             missing=tuple(int(axis) for axis in arrays["missing"]),
+            hyperplane=Eigenfaces(mean, arrays["hyperplane_vectors"], arrays["hyperplane_variances"], total),
         )

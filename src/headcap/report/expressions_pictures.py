@@ -172,7 +172,7 @@ def _averaged(image: Image) -> Image:
 
 def _fixed(place: NDArray) -> tuple[int, int]:
     """A place in pixels as whole sub-pixels."""
-    return tuple(int(round(float(each) * 2**_SHARP)) for each in place)
+    return tuple(round(float(each) * 2**_SHARP) for each in place)
 
 
 def round_top(values_mm: NDArray, share: float = 0.99) -> float:

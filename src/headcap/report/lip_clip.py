@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from headcap.artifacts import Manifest, manifest_path
+from headcap.artifacts import Manifest
 from headcap.evaluation.lip_clip import LipClip
 from headcap.evaluation.lip_clips import clip_figures, closure_totals
 from headcap.evaluation.lip_closures import WITHIN_S, ClosureTest
@@ -18,7 +18,7 @@ from headcap.recordings.video import VideoFrames
 from headcap.report.lip_clip_figures import clip_curves, told_frames
 from headcap.report.overlays import jpeg_uri
 from headcap.report.page import Shown, drawing, write_page
-from headcap.report.provenance import versions
+from headcap.report.provenance import manifests_of, versions
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class _Inputs:
 def write_clip_report(files: Sequence[ClipFiles], failures: Mapping[str, str], settings: Mapping, path: Path | str) -> None:
     """Write the page as one HTML file; `failures` says of each video without an answer why there is none."""
     clips = [LipClip.load(each.clip) for each in files]
-    inputs = _Inputs(tuple(clip_figures(clips)), _manifests(files), versions(), settings)
+    inputs = _Inputs(tuple(clip_figures(clips)), manifests_of(each.sequence for each in files), versions(), settings)
     write_page(
         path,
         "lip_clip.html.j2",
@@ -122,8 +122,3 @@ def _rows(clip: LipClip, tests: Sequence[ClosureTest | None]) -> tuple[ClosureRo
         )
         for k, closure in enumerate(clip.closures)
     )
-
-
-def _manifests(files: Sequence[ClipFiles]) -> tuple[tuple[str, Manifest], ...]:
-    made = [each.sequence for each in files if manifest_path(each.sequence).exists()]
-    return tuple((f"{path.parent.name}/{path.name}", Manifest.load(manifest_path(path))) for path in made)

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from headcap.artifacts import Manifest
-from headcap.artifacts.manifest import manifest_path
 from headcap.evaluation.lips_study import ALL, LipRow, LipStudy
 from headcap.evaluation.metrics import Figure, load_metrics
 from headcap.report import lips_figures as diagrams
 from headcap.report.overlays import load_image
 from headcap.report.page import Shown, drawing, write_page
-from headcap.report.provenance import versions
+from headcap.report.provenance import manifests_of, versions
 
 _INPUTS_OF = ("GR", "MS", "PS")
 """Whose tables 2 and 3 are shown: the first that has baselines."""
@@ -53,7 +52,7 @@ class _Inputs:
 def write_lips_report(files: LipFiles, people: Mapping[str, str], settings: Mapping, path: Path | str) -> None:
     """Write the page as one HTML file; `people` says of each whose takes were tested what they were to the study."""
     study = LipStudy.load(files.tables)
-    inputs = _Inputs(tuple(load_metrics(files.figures)), _manifests(files), versions(), settings)
+    inputs = _Inputs(tuple(load_metrics(files.figures)), manifests_of((files.tables, files.figures)), versions(), settings)
     told = next((relation for relation in _INPUTS_OF if len(study.by_inputs(relation)) > 1), None)
     write_page(
         path,
@@ -86,8 +85,3 @@ def _shown(files: LipFiles, number: int) -> list[Shown]:
 
 def _drawn(path: Path, caption: str) -> Shown:
     return drawing(load_image(path), caption)
-
-
-def _manifests(files: LipFiles) -> tuple[tuple[str, Manifest], ...]:
-    made = [path for path in (files.tables, files.figures) if manifest_path(path).exists()]
-    return tuple((path.name, Manifest.load(manifest_path(path))) for path in made)

@@ -1,7 +1,12 @@
-"""What an environment consists of, for the foot of a report."""
+"""What a report was made of and with, for its foot."""
 
 import importlib.metadata
 import platform
+from collections.abc import Iterable
+from pathlib import Path
+
+from headcap.artifacts import Manifest
+from headcap.artifacts.manifest import manifest_path
 
 _PACKAGES = (
     "headcap",
@@ -18,6 +23,13 @@ _PACKAGES = (
     "pydantic",
     "snakemake",
 )
+
+
+def manifests_of(files: Iterable[Path]) -> tuple[tuple[str, Manifest], ...]:
+    """Manifests of those files that have one, by the file's last two names."""
+    return tuple(
+        (str(Path(*path.parts[-2:])), Manifest.load(manifest_path(path))) for path in files if manifest_path(path).is_file()
+    )
 
 
 def versions() -> dict[str, str]:

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from headcap.artifacts import Manifest
-from headcap.artifacts.manifest import manifest_path
 from headcap.evaluation.metrics import load_metrics
 from headcap.evaluation.neck_study import NeckStudy
 from headcap.heads import HeadModel
@@ -18,7 +16,7 @@ from headcap.neck.landmarks.landmarks import LandmarkPoints, Landmarks
 from headcap.neck.model import NeckModel
 from headcap.neck.subjects import NeckSubject, SubjectFiles
 from headcap.registration.sequence import JoinedMeshes
-from headcap.report.provenance import versions
+from headcap.report.provenance import manifests_of, versions
 from headcap.report.study_inputs import Animation, StudyInputs
 from headcap.speech import SpeechRegressor
 from headcap.speech.take_sound import TakeSound
@@ -68,7 +66,7 @@ def collect_study_page(files: StudyFiles, settings: Mapping) -> StudyInputs:
         figures=load_metrics(files.figures),
         animations=(*scene.own_voices(), *scene.group_voices(), *scene.faces()),
         groups={person: ", ".join(name for name, group in files.groups.items() if person in group) for person in held},
-        manifests=_manifests(files),
+        manifests=manifests_of(files.all),
         versions=versions(),
         settings=settings,
     )
@@ -131,7 +129,3 @@ def face_landmarks(head: HeadModel, meshes: JoinedMeshes, take: TakeFit) -> Land
     names = [name for name, vertex in sorted(head.landmarks.items()) if head.regions["face"][vertex]]
     points = LandmarkPoints.named(head, names)
     return Landmarks(points, take.time_s, points.at(meshes[:].astype(float)))
-
-
-def _manifests(files: StudyFiles) -> tuple[tuple[str, Manifest], ...]:
-    return tuple((str(path), Manifest.load(manifest_path(path))) for path in files.all if manifest_path(path).is_file())
