@@ -186,6 +186,9 @@ CATALOGUE: dict[str, FigureKind] = {
     "quasi_eigen.not_exercised": _stated(
         "", "shapes that keep less than a third of their norm: the performance does not do them"
     ),
+    "quasi_eigen.not_told_apart": _stated(
+        "", "shapes that keep a third of their norm but not of what is theirs alone: the performance does others like them"
+    ),
     "quasi_eigen.missing_axes": _stated("", "eigenfaces that the hand-made shapes leave out"),
     "quasi_eigen.mean_outside": _stated("", "share of the mean face outside the eigenfaces, which eq. 4 adds to every shape"),
     "speech.phi_error": _stated("mm", "weights of the speech blendshapes from sound left out of training, mean length of error"),

@@ -19,6 +19,8 @@ __all__ = ["EXERCISED", "ExpressionFigures", "Mistaken", "Reproduction", "compar
 
 EXERCISED = 1 / 3
 """A shape that keeps less of its norm on the principal axes than this is not exercised by the performance."""
+_DEPENDENT = 1e-4
+"""Of a shape's norm: less than ten times this of its own, and it has no part of its own; float32 rounding is far below."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class Mistaken:
     correlation: float
     """Cosine with its own."""
     closest_correlation: float
-    apart: float
-    """Of the part of the shape that is not in the closest one, the norm kept: little where only the other was performed."""
+    own_part: float
+    """As in `ExpressionFigures`: little where not the shape was performed, but others that it resembles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +64,11 @@ class ExpressionFigures:
     Eq. 4 is the projection of e^H plus the part of the mean outside the axes. That part is nothing where the neutral face is
     among the frames the axes cover, `mean_outside` says how much; it stays in, for an animator sees it.
     """
-    apart: NDArray[np.float64]
-    """(k, k) norm kept of the part of shape i outside shape j; 1 on the diagonal."""
+    own_part: NDArray[np.float64]
+    """(k,) norm kept of a shape's own part, that no combination of the other shapes makes; 0 of a shape without one.
+
+    A shape that was never performed keeps much of its norm where others resemble it, but little of what is its own.
+    """
     mean_outside: float
     """Norm of the mean's part outside the axes over the mean's."""
     missing: tuple[int, ...]
@@ -85,6 +90,12 @@ class ExpressionFigures:
         return tuple(name for name, used in zip(self.names, self.exercised, strict=True) if not used)
 
     @property
+    def not_told_apart(self) -> tuple[str, ...]:
+        """Names of exercised shapes of whose own part less than `EXERCISED` is kept: others that resemble them were performed."""
+        blurred = self.exercised & (self.own_part < EXERCISED)
+        return tuple(name for name, found in zip(self.names, blurred, strict=True) if found)
+
+    @property
     def mistaken(self) -> tuple[Mistaken, ...]:
         """Exercised shapes whose quasi-eigen face is closer to another hand-made shape than to its own."""
         closest = self.correlation.argmax(axis=1)
@@ -94,7 +105,7 @@ class ExpressionFigures:
                 closest=self.names[closest[shape]],
                 correlation=float(self.own_correlation[shape]),
                 closest_correlation=float(self.correlation[shape, closest[shape]]),
-                apart=float(self.apart[shape, closest[shape]]),
+                own_part=float(self.own_part[shape]),
             )
             for shape in np.flatnonzero(self.exercised & (closest != np.arange(len(self.names))))
         )
@@ -127,6 +138,7 @@ class ExpressionFigures:
             "median_correlation": float(np.median(own)) if len(own) else float("nan"),
             "own_closest_share": 1 - len(self.mistaken) / len(own) if len(own) else float("nan"),
             "not_exercised": len(self.not_exercised),
+            "not_told_apart": len(self.not_told_apart),
             "missing_axes": len(self.missing),
             "mean_outside": self.mean_outside,
         }
@@ -141,7 +153,9 @@ class ExpressionFigures:
             "elements": self.elements,
             "kept": self.kept.tolist(),
             "own_correlation": self.own_correlation.tolist(),
+            "own_part": self.own_part.tolist(),
             "not_exercised": list(self.not_exercised),
+            "not_told_apart": list(self.not_told_apart),
             "mistaken": [asdict(shape) for shape in self.mistaken],
             "missing": list(self.missing),
             "bases": {name: _told(getattr(self, name)) for name in ("hand", "pca", "quasi")},
@@ -166,7 +180,7 @@ def compare_bases(
     )
     shapes, axes = faces.hand.rows.astype(np.float64), faces.hyperplane.rows.astype(np.float64)
     mean = faces.hyperplane.mean.ravel().astype(np.float64)
-    kept, apart = _kept(shapes, axes)
+    kept, own_part = _kept(shapes, axes)
     return ExpressionFigures(
         names=faces.hand.names,
         time_s=performance.time_s,
@@ -176,7 +190,7 @@ def compare_bases(
         quasi=quasi,
         kept=kept,
         correlation=_cosines(faces.quasi.rows[: len(shapes)], shapes),
-        apart=apart,
+        own_part=own_part,
         mean_outside=_ratio(float(np.linalg.norm(mean - mean @ axes.T @ axes)), float(np.linalg.norm(mean))),
         missing=faces.missing,
     )
@@ -188,17 +202,14 @@ def first_axes(eigen: Eigenfaces, count: int) -> Eigenfaces:
 
 
 def _kept(shapes: NDArray, axes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(k,) and (k, k): norms kept along the axes of unit shapes, and of their parts outside one another."""
+    """(k,) norms kept along the axes of unit shapes, and of their parts outside the span of all others."""
     units = shapes / np.maximum(np.linalg.norm(shapes, axis=1, keepdims=True), 1e-30)
     along = units @ axes.T
-    cosines, kept = units @ units.T, along @ along.T
-    own, other = np.diagonal(kept)[:, None], np.diagonal(kept)[None, :]
-    # of u_ij = e_i - cos e_j, whose square is 1 - cos^2
-    parts = np.maximum(own - 2 * cosines * kept + cosines**2 * other, 0)
-    wholes = np.maximum(1 - cosines**2, 1e-12)
-    apart = np.sqrt(np.minimum(parts / wholes, 1))
-    np.fill_diagonal(apart, 1.0)
-    return np.sqrt(np.maximum(own[:, 0], 0)), apart
+    # rows of G^-1 E are at right angles to all shapes but their own; their squares are the diagonal of G^-1
+    inverse = np.linalg.inv(units @ units.T + _DEPENDENT**2 * np.eye(len(units)))
+    lengths = np.sqrt(np.diagonal(inverse))
+    own_part = np.linalg.norm(inverse @ along, axis=1) / lengths
+    return np.linalg.norm(along, axis=1), np.where(1 / lengths > 10 * _DEPENDENT, own_part, 0.0)
 
 
 def _cosines(rows: NDArray, others: NDArray) -> NDArray[np.float64]:

@@ -151,24 +151,31 @@ def test_shapes_are_chosen_greedily(rng):
     assert len(doubled) == len(energies) == 5
 
 
-def bumps(neutral: np.ndarray, *groups: np.ndarray) -> np.ndarray:
-    """Shapes (k, n, 3) that each move one group of points, in one direction."""
-    out = np.zeros((len(groups), *neutral.shape))
-    for shape, group in zip(out, groups, strict=True):
-        shape[group] = [0.0, 0.006, 0.008]
+DIRECTION = np.array([0.0, 0.006, 0.008])
+
+
+def bumps() -> np.ndarray:
+    """Shapes (4, n, 3) that each move one group of points, in one direction; half of the last one is the first."""
+    out = np.zeros((4, POINTS, 3))
+    for shape, (first, last) in zip(out, ((0, 10), (10, 20), (20, 30), (5, 12)), strict=True):
+        shape[first:last] = DIRECTION
     return out
+
+
+def _wrong_shapes() -> np.ndarray:
+    """The same as rows, the first two hand-made a little the wrong way."""
+    wrong = bumps()
+    wrong[:2, :, 0] = 0.3 * wrong[:2, :, 1]
+    return wrong.reshape(4, -1)
 
 
 @pytest.fixture
 def judged(rng, neutral) -> ExpressionFigures:
-    """Shapes 0 and 1 performed, 2 not, 3 not either but half of it is shape 0; hand-made ones point a little the wrong way."""
-    points = np.arange(POINTS)
-    true = bumps(neutral, points[:10], points[10:20], points[20:30], points[5:12])
-    motion = np.einsum("lk,knc->lnc", np.abs(rng.normal(size=(FRAMES, 2))), true[:2])
+    """Shapes 0 and 1 performed, 2 and 3 not."""
+    motion = np.einsum("lk,knc->lnc", np.abs(rng.normal(size=(FRAMES, 2))), bumps()[:2])
     motion[0] = 0
-    wrong = true.copy()
-    wrong[:2, :, 0] = 0.3 * wrong[:2, :, 1]
-    return compare_bases(performance_of(motion, neutral), projected(basis_of(wrong, neutral), eigenfaces_of(motion, 2)))
+    hand = basis_of(_wrong_shapes().reshape(4, POINTS, 3), neutral)
+    return compare_bases(performance_of(motion, neutral), projected(hand, eigenfaces_of(motion, 2)))
 
 
 def test_shapes_not_performed_are_named(judged):
@@ -183,13 +190,25 @@ def test_shapes_not_performed_are_named(judged):
 
 def test_a_face_that_became_another_shape_is_named_with_it(judged):
     assert [(shape.name, shape.closest) for shape in judged.mistaken] == [("shape 3", "shape 0")]
-    # what sets it apart: e_3 less its part along e_0, of which the axes hold the group's direction, cosine 1 / hypot(1, 0.18)
-    kept_square = 1 / (1 + 0.18**2)
-    cosine_square = 25 / 70 * kept_square
-    apart = np.sqrt((29 / 70 - 2 * cosine_square + cosine_square * kept_square) / (1 - cosine_square))
-    assert judged.mistaken[0].apart == pytest.approx(apart, rel=1e-5)
+    assert judged.not_told_apart == ("shape 3",)
+    # its own part by least squares on the other three, laid on the two groups that moved
+    hand = _wrong_shapes()
+    others = np.linalg.qr(hand[:3].T)[0]
+    own = hand[3] - others @ (others.T @ hand[3])
+    moved = np.zeros((2, POINTS, 3))
+    moved[0, :10], moved[1, 10:20] = DIRECTION, DIRECTION
+    axes = moved.reshape(2, -1) / np.linalg.norm(moved.reshape(2, -1), axis=1, keepdims=True)
+    assert judged.own_part[3] == pytest.approx(np.linalg.norm(axes @ own) / np.linalg.norm(own), rel=1e-4)
     assert judged.own_correlation[:2] == pytest.approx(judged.kept[:2], rel=1e-5)
     assert judged.figures()["quasi_eigen.own_closest_share"] == pytest.approx(2 / 3)
+
+
+def test_a_shape_made_of_others_has_nothing_of_its_own(rng, neutral, motion):
+    shapes = 0.01 * rng.normal(size=(3, POINTS, 3))
+    hand = basis_of(np.concatenate([shapes, shapes[:1] - 2 * shapes[1:2]]), neutral)
+    figures = compare_bases(performance_of(motion, neutral), projected(hand, eigenfaces_of(motion, 4)))
+    assert (figures.own_part[[0, 1, 3]] == 0).all()
+    assert 0 < figures.own_part[2] <= 1
 
 
 def test_projection_brings_hand_made_shapes_to_the_error_of_the_eigenfaces(judged):
@@ -219,6 +238,7 @@ def test_figures_are_in_the_catalogue_and_go_to_json(judged):
     assert set(judged.figures()) <= set(CATALOGUE)
     told = json.loads(json.dumps(judged.to_json(), allow_nan=False))
     assert told["not_exercised"] == ["shape 2"]
+    assert told["mistaken"][0]["closest"] == "shape 0"
     assert len(told["bases"]["quasi"]["frame_rms_mm"]) == FRAMES == len(told["time_s"])
 
 
