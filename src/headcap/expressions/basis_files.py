@@ -17,6 +17,7 @@ from headcap.expressions.basis_checks import BasisChecks, checked
 from headcap.expressions.basis_gltf import read_gltf
 from headcap.expressions.basis_usd import read_usd
 from headcap.heads import HeadCoefficients, HeadModel, load_flame, load_ict
+from headcap.heads.model import KIND as MODEL_KIND
 from headcap.meshes.files import read_mesh
 from headcap.meshes.topology import same_triangles
 from headcap.registration.scan import METRES_PER
@@ -189,19 +190,31 @@ def _neutral_file(folder: Path, files: dict[str, Path], neutral: Path | str | No
     return called[0]
 
 
-def _read_npz(path: Path) -> ExpressionBasis:
+def read_head_model(path: Path | str) -> HeadModel | None:
+    """The head model (ours, FLAME's, ICT-FaceKit's) that a file holds, with its landmarks and regions; None where it holds none.
+
+    Raises `InputError` for a file that cannot be read.
+    """
+    path = Path(path)
     if path.suffix.lower() == ".pkl":
-        return model_basis(load_flame(path))
+        return load_flame(path)
+    if path.suffix.lower() != ".npz":
+        return None
+    keys, kind = _contents(path)
+    if kind == MODEL_KIND:
+        return HeadModel.load(path)
+    return next((load(path) for key, load in _MODEL_KEYS.items() if not kind and key in keys), None)
+
+
+def _read_npz(path: Path) -> ExpressionBasis:
+    model = read_head_model(path)
+    if model is not None:
+        return model_basis(model)
     keys, kind = _contents(path)
     if kind == QUASI_KIND:
         return QuasiEigenFaces.load(path).quasi
-    if kind == "head_model":
-        return model_basis(HeadModel.load(path))
     if kind == KIND:
         return ExpressionBasis.load(path)
-    for key, load in _MODEL_KEYS.items():
-        if key in keys:
-            return model_basis(load(path))
     raise InputError(
         f"{path.name}, an npz of {kind or ', '.join(sorted(keys)[:6])}",
         expected="a basis, quasi-eigen faces, or a head model of ours, FLAME's or ICT-FaceKit's",
