@@ -167,17 +167,19 @@ def _unusable(basis: ExpressionBasis, label: Label) -> list[InputError]:
 def _placed(basis: ExpressionBasis, label: Label, align: bool, checks: BasisChecks) -> ExpressionBasis:
     """Every shape where the neutral face is, moved there or refused."""
     neutral = np.asarray(basis.neutral, np.float64)
-    _refuse_common(basis, neutral, align, checks)
-    displacements, found = basis.displacements.copy(), {}
+    common = _common_offset(basis, neutral, align, checks)
+    displacements, found = basis.displacements.astype(np.float64), {}
+    if common is not None:
+        # those too in which so much moves that their own offset could not be told
+        displacements = transform(common.neutral_from_shape, neutral + displacements) - neutral
     for i, name in enumerate(basis.names):
-        shape = neutral + basis.displacements[i]
-        offset = offset_as_a_whole(neutral, shape, checks)
+        offset = offset_as_a_whole(neutral, neutral + displacements[i], checks)
         if offset is not None:
             found[name] = offset
-            displacements[i] = transform(offset.neutral_from_shape, shape) - neutral
-    if not found:
+            displacements[i] = transform(offset.neutral_from_shape, neutral + displacements[i]) - neutral
+    if not found and common is None:
         return basis
-    if not align:
+    if found and not align:
         told = ", ".join(f"{label(name)} by {offset}" for name, offset in found.items())
         raise InputError(
             f"shapes moved as a whole against the neutral face: {told}",
@@ -187,17 +189,17 @@ def _placed(basis: ExpressionBasis, label: Label, align: bool, checks: BasisChec
     return ExpressionBasis(basis.names, basis.neutral, displacements, basis.triangles)
 
 
-def _refuse_common(basis: ExpressionBasis, neutral: NDArray, align: bool, checks: BasisChecks) -> None:
-    """A neutral face that most shapes leave in the same way is none: it is another expression, or lies elsewhere."""
+def _common_offset(basis: ExpressionBasis, neutral: NDArray, align: bool, checks: BasisChecks) -> Offset | None:
+    """How most shapes lie against the neutral face, if elsewhere; what they leave alike in another way is no neutral face."""
     if len(basis) < _LEAST_SHAPES:
-        return
+        return None
     common = np.median(basis.displacements, axis=0)
     size = np.linalg.norm(common, axis=1)
     moved = size > 1e-3 * checks.at_rest_mm
     spread = np.median(np.linalg.norm(basis.displacements[:, moved] - common[moved], axis=2), axis=0)
     alike = np.flatnonzero(moved)[spread <= 0.1 * size[moved]]
     if len(alike) <= checks.common_share * len(neutral):
-        return
+        return None
     offset = offset_as_a_whole(neutral, neutral + common, checks)
     if offset is None:
         worst = alike[size[alike].argmax()]
@@ -213,3 +215,4 @@ def _refuse_common(basis: ExpressionBasis, neutral: NDArray, align: bool, checks
             expected="one placement for all",
             remedy="Export it with the shapes, or have them aligned.",
         )
+    return offset

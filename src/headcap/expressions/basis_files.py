@@ -66,7 +66,7 @@ def read_basis(
     elif suffix in USD_SUFFIXES:
         basis = read_usd(path, part)
     elif suffix in (".npz", ".pkl"):
-        return checked(_read_npz(path), align=align, checks=checks)
+        return _read_npz(path, align, checks)
     else:
         known = ", ".join((*GLTF_SUFFIXES, *USD_SUFFIXES, ".npz"))
         remedy = f"Put OBJ or PLY meshes into a folder, or export {known}."
@@ -206,15 +206,16 @@ def read_head_model(path: Path | str) -> HeadModel | None:
     return next((load(path) for key, load in _MODEL_KEYS.items() if not kind and key in keys), None)
 
 
-def _read_npz(path: Path) -> ExpressionBasis:
+def _read_npz(path: Path, align: bool, checks: BasisChecks | None) -> ExpressionBasis:
     model = read_head_model(path)
     if model is not None:
-        return model_basis(model)
+        # how far a component moves at weight one is a matter of its unit
+        return checked(model_basis(model), align=align, checks=checks or BasisChecks(flat_mm=0.0))
     keys, kind = _contents(path)
     if kind == QUASI_KIND:
-        return QuasiEigenFaces.load(path).quasi
+        return checked(QuasiEigenFaces.load(path).quasi, align=align, checks=checks)
     if kind == KIND:
-        return ExpressionBasis.load(path)
+        return checked(ExpressionBasis.load(path), align=align, checks=checks)
     raise InputError(
         f"{path.name}, an npz of {kind or ', '.join(sorted(keys)[:6])}",
         expected="a basis, quasi-eigen faces, or a head model of ours, FLAME's or ICT-FaceKit's",
