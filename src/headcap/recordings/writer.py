@@ -24,16 +24,18 @@ def write_video(
     rate_hz: float,
     *,
     crf: float = 13.0,
+    preset: str = "veryfast",
     sound: NDArray[np.float32] | None = None,
     sound_rate_hz: int = 48_000,
 ) -> None:
     """Write frames (slot, RGB (height, width, 3)) of `size` (width, height), both even, and sound (n,) to an mp4.
 
     Slot k is presented at k / rate, missing slots are gaps; parts of a slot count, to a 512th. `crf` is H.264's quality, lower is
-    better. Only one frame is held at a time; the file appears whole or not at all.
+    better, and `preset` x264's name for how much work goes into it. Only one frame is held at a time; the file appears whole or
+    not at all.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
-        picture = _picture_stream(container, size, rate_hz, crf)
+        picture = _picture_stream(container, size, rate_hz, crf, preset)
         track = None if sound is None else _sound_stream(container, sound_rate_hz)
         blocks = iter(()) if sound is None else _sound_blocks(sound, sound_rate_hz)
         for slot, image in frames:
@@ -62,11 +64,13 @@ def write_picture(path: Path | str, picture: NDArray[np.uint8]) -> None:
         temporary.write_bytes(coded.tobytes())
 
 
-def _picture_stream(container: av.container.OutputContainer, size: tuple[int, int], rate_hz: float, crf: float) -> av.VideoStream:
+def _picture_stream(
+    container: av.container.OutputContainer, size: tuple[int, int], rate_hz: float, crf: float, preset: str
+) -> av.VideoStream:
     rate = Fraction(rate_hz).limit_denominator(1001)
     # one thread gives the same bits every time, and recordings are written side by side anyway; the macroblock tree is left
     # out because its floating-point part came out differently from run to run on a busy machine
-    options = {"crf": str(crf), "preset": "veryfast", "threads": "1", "x264-params": "mbtree=0:rc-lookahead=0"}
+    options = {"crf": str(crf), "preset": preset, "threads": "1", "x264-params": "mbtree=0:rc-lookahead=0"}
     stream = container.add_stream("libx264", rate=rate, options=options)
     stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
     stream.codec_context.time_base = Fraction(1, 1) / (rate * _TICKS_PER_FRAME)

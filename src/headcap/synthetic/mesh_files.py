@@ -23,7 +23,7 @@ from headcap.synthetic.mesh_takes import MeshSubject, MeshTake, mesh_subject
 from headcap.synthetic.render import Surface
 from headcap.synthetic.rig import SOUND_STREAM, build_camera, random_stream
 from headcap.synthetic.sensor import build_sensors
-from headcap.synthetic.settings import MeshRehearsalSettings, TakeSettings, VideoSettings
+from headcap.synthetic.settings import X264_PRESET, MeshRehearsalSettings, TakeSettings, VideoSettings
 from headcap.synthetic.studio import Sitter, Studio
 from headcap.synthetic.voice import synthesise
 
@@ -93,9 +93,9 @@ def film_take(
         (k, sensor.expose(studio.photograph(camera, sitter, k / settings.rate_hz), number, 0, k))
         for k in range(len(performed.meshes))
     )
-    sound = spoken(performed, settings.seed, number, take.duration_s)
-    sound = sound.astype(np.float32)
-    write_video(path, pictures, camera.size, settings.rate_hz, crf=video.crf, sound=sound, sound_rate_hz=SOUND_RATE_HZ)
+    sound = spoken(performed, settings.seed, number, take.duration_s).astype(np.float32)
+    heard = {"sound": sound, "sound_rate_hz": SOUND_RATE_HZ}
+    write_video(path, pictures, camera.size, settings.rate_hz, crf=video.crf, preset=X264_PRESET, **heard)
 
 
 def _encoding(settings: MeshRehearsalSettings) -> VideoSettings:

@@ -25,7 +25,7 @@ from headcap.synthetic.performance import Performance, perform
 from headcap.synthetic.rig import MOTION_STREAM, Clock, build_clocks, build_rig, random_stream
 from headcap.synthetic.scan import write_scan
 from headcap.synthetic.sensor import build_sensors
-from headcap.synthetic.settings import RehearsalSettings
+from headcap.synthetic.settings import X264_PRESET, RehearsalSettings
 from headcap.synthetic.sound import record, take_sources
 from headcap.synthetic.studio import Sitter, Studio
 from headcap.synthetic.subject import Subject
@@ -126,7 +126,7 @@ def rehearse_recording(settings: RehearsalSettings, recording: str, camera: str,
     exposed = _exposed(frames, rehearsal, index, c)
     video = settings.video
     write_video(
-        Path(folder) / path, exposed, (video.width, video.height), video.rate_hz, crf=video.crf, sound=sound,
+        Path(folder) / path, exposed, (video.width, video.height), video.rate_hz, crf=video.crf, preset=X264_PRESET, sound=sound,
         sound_rate_hz=settings.sound.rate_hz,
     )  # fmt: skip
     return path

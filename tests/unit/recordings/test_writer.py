@@ -17,9 +17,10 @@ def pictures(rng):
     return [np.rint(np.array([150, 120, 100]) + 80 * wave[..., None]).astype(np.uint8) for wave in waves]
 
 
-def test_frames_come_back_at_their_moments(pictures, tmp_path):
+@pytest.mark.parametrize("preset", ["veryfast", "ultrafast"])
+def test_frames_come_back_at_their_moments(pictures, tmp_path, preset):
     path = tmp_path / "out.mp4"
-    write_video(path, zip((0, 1, 4), pictures, strict=True), (96, 64), 25.0, crf=6)
+    write_video(path, zip((0, 1, 4), pictures, strict=True), (96, 64), 25.0, crf=6, preset=preset)
     with VideoFrames(path) as video:
         np.testing.assert_allclose(video.times_s, [0, 0.04, 0.16], atol=1e-6)
         for k, picture in enumerate(pictures):
