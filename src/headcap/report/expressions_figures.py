@@ -1,4 +1,4 @@
-"""Diagrams of quasi-eigen faces: errors over time and against the basis' size, and weights. RGB (height, width, 3) uint8."""
+"""Diagrams of quasi-eigen faces: errors over time and against the size of a basis, weights. RGB (height, width, 3) uint8."""
 
 from __future__ import annotations
 
