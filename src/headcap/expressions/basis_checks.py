@@ -16,6 +16,8 @@ from headcap.geometry.transforms import fit_rigid, rotation_angle, transform
 Label = Callable[[str], str]
 _LEAST_SHAPES = 3
 """Fewer shapes than these have no majority that could tell what they have in common."""
+_LISTED = 12
+"""Names that a message tells before it counts the rest."""
 _SAMPLE = 3000
 """Vertices that a placement is fitted to."""
 _ROUNDS, _LAST_ROUNDS = 30, 6
@@ -86,7 +88,7 @@ def flat_shapes(basis: ExpressionBasis, label: Label = str, checks: BasisChecks 
         return []
     return [
         InputError(
-            f"flat shapes: {', '.join(flat)}",
+            f"flat shapes: {', '.join(flat[:_LISTED])}{f' and {len(flat) - _LISTED} more' if len(flat) > _LISTED else ''}",
             expected=f"each to move some vertex by more than {checks.flat_mm:g} mm",
             remedy="Leave them out, or export them with their weight at one.",
         )
