@@ -54,6 +54,8 @@ class ExpressionsPage:
     """The same as each of `BASES` reproduces them."""
     weights: Mapping[str, NDArray[np.float64]]
     """(l, k) of hand-made shapes, "hand", and of quasi-eigen faces, "quasi", those it was augmented with left out."""
+    bounds: tuple[float, float] | None
+    """Least and largest weight that was allowed; None: any."""
     figures: tuple[Figure, ...]
     manifests: tuple[tuple[str, Manifest], ...]
     versions: Mapping[str, str]
@@ -100,7 +102,7 @@ def collect_expressions_page(
     faces: QuasiEigenFaces,
     compared: ExpressionFigures,
     *,
-    bounds: tuple[float | None, float | None] | None = None,
+    bounds: tuple[float, float] | None = None,
     figures: Sequence[Figure] = (),
     manifests: Sequence[tuple[str, Manifest]] = (),
     settings: Mapping | None = None,
@@ -133,6 +135,7 @@ def collect_expressions_page(
             "pca": _on_axes(faces.eigen, compared.elements, shown),
         },
         weights={name: each[:, : len(faces.hand)] for name, each in solved.items()},
+        bounds=bounds,
         figures=tuple(figures),
         manifests=tuple(manifests),
         versions=versions(),
@@ -181,6 +184,7 @@ def write_expressions_report(page: ExpressionsPage, path: Path | str) -> None:
         told=diagrams.TOLD,
         bases=BASES,
         paper=PAPER_ALPHA_PCT,
+        allowed=_allowed(page),
         is_mesh=painter.is_mesh,
         read=_read(page.performance),
         neutral=_uri(painter, [painter.shape(np.zeros_like(hand.neutral))]),
@@ -316,12 +320,18 @@ def _drawn(page: ExpressionsPage, shapes: Sequence[_Shape]) -> dict[str, Shown]:
         "curves": drawing(
             diagrams.alpha_curves(time_s, alphas, moments), "Alpha (eq. 6) of each frame; grey: frames pictured below"
         ),
-        "weights": drawing(diagrams.weight_curves(time_s, names, *weights), "Weights of the most used shapes over time (eq. 5)"),
+        "weights": drawing(
+            diagrams.weight_curves(time_s, names, *weights), f"Weights of the most used shapes (eq. 5), {_allowed(page)}"
+        ),
     }
     if by_size:
         told = "Alpha over all frames: eigenfaces as they come, of shapes always the one that takes most of what is left"
         drawn["coverage"] = drawing(diagrams.coverage_curves(by_size, page.compared.elements), told)
     return drawn
+
+
+def _allowed(page: ExpressionsPage) -> str:
+    return "free in size and sign" if page.bounds is None else "from {:g} to {:g}".format(*page.bounds)
 
 
 def _read(performance: Performance) -> list[tuple[str, str]]:

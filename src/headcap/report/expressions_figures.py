@@ -28,7 +28,7 @@ def alpha_curves(time_s: NDArray, alphas_pct: Mapping[str, NDArray], moments: Se
         for name, values in alphas_pct.items():
             axes.plot(time_s, np.maximum(values, 1e-6), _STYLES[name], color=COLOURS[name], label=TOLD[name])
         _logarithmic(axes, np.concatenate(list(alphas_pct.values())))
-        axes.set(title="Alpha, frame by frame", xlabel="s", ylabel="alpha, %", xlim=(time_s[0], time_s[-1]))
+        axes.set(title="Alpha, frame by frame", xlabel="s", ylabel="alpha, %", xlim=_whole(time_s))
         axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     return out[0]
 
@@ -62,7 +62,7 @@ def weight_curves(time_s: NDArray, names: Sequence[str], hand: NDArray, quasi: N
             axes.plot(time_s, before, color=COLOURS["hand"], linewidth=1.0, label=TOLD["hand"])
             axes.plot(time_s, after, color=COLOURS["quasi"], label=TOLD["quasi"])
             axes.set_title(name)
-            axes.set_xlim(time_s[0], time_s[-1])
+            axes.set_xlim(*_whole(time_s))
             axes.yaxis.set_major_locator(MaxNLocator(3))
         for axes in panels[len(names) :]:
             axes.set_visible(False)
@@ -71,6 +71,11 @@ def weight_curves(time_s: NDArray, names: Sequence[str], hand: NDArray, quasi: N
             axes.tick_params(labelbottom=True)
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=2)
     return out[0]
+
+
+def _whole(time_s: NDArray) -> tuple[float, float]:
+    """First and last moment, apart even of a single frame."""
+    return float(time_s[0]), max(float(time_s[-1]), float(time_s[0]) + 1e-3)
 
 
 def _logarithmic(axes: Axes, values: NDArray) -> None:

@@ -33,6 +33,7 @@ NEAREST = 1.7
 _MARGIN = 0.05
 _FINER = 2
 """Drawn at so many times the size and averaged: edges of lips and lids stay smooth in a small picture."""
+_ROUND = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)
 _SHARP = 4
 """Bits of a marker's place below a pixel."""
 _DOT = 0.009
@@ -176,11 +177,11 @@ def _fixed(place: NDArray) -> tuple[int, int]:
 
 
 def round_top(values_mm: NDArray, share: float = 0.99) -> float:
-    """Upper end of a colour scale: the 1, 2 or 5 times a power of ten that holds a share of the values; at least 0.01 mm."""
+    """Upper end of a colour scale that holds a share of the values: a round number of millimetres, at least 0.01."""
     known = values_mm[np.isfinite(values_mm)]
     wanted = max(float(np.quantile(known, share)) if len(known) else 0.0, 0.01)
     decade = 10.0 ** np.floor(np.log10(wanted))
-    return float(next(step * decade for step in (1, 2, 5, 10) if step * decade >= wanted * (1 - 1e-9)))
+    return float(next(step * decade for step in _ROUND if step * decade >= wanted * (1 - 1e-9)))
 
 
 def length_mm(displacement: NDArray) -> NDArray[np.float64]:

@@ -120,7 +120,7 @@ def test_markers_take_the_colour_of_their_error(markers):
 
 @pytest.mark.parametrize(
     ("values", "top"),
-    [([0.0, 3.2], 5.0), ([0.0, 0.5], 0.5), ([0.6, 0.6], 1.0), ([], 0.01), ([0.0], 0.01), ([np.nan, 11.0], 20.0)],
+    [([0.0, 3.2], 4.0), ([0.0, 0.5], 0.5), ([0.9, 0.9], 1.0), ([], 0.01), ([0.0], 0.01), ([np.nan, 11.0], 15.0)],
 )
 def test_scales_end_at_round_numbers_that_hold_the_values(values, top):
     assert round_top(np.array(values), share=1.0) == pytest.approx(top)
