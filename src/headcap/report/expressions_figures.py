@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, StrMethodFormatter
 from numpy.typing import NDArray
 
 from headcap.report.figures import ACCENT, FAINT, INK, SECOND, Image, sheet
@@ -84,7 +84,6 @@ def _logarithmic(axes: Axes, values: NDArray) -> None:
     axes.set_yscale("log")
     if len(known):
         axes.set_ylim(max(known.min(), 1e-3 * known.max()) / 1.3, known.max() * 1.3)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axes.yaxis.set_minor_formatter(
-        NullFormatter() if len(known) and known.max() > 10 * known.min() else StrMethodFormatter("{x:g}")
-    )
+    axes.yaxis.set_minor_formatter(NullFormatter())
