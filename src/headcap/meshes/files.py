@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.errors import InputError
+from headcap.meshes.topology import polygon_fans
 
 if TYPE_CHECKING:
     import trimesh
@@ -82,15 +83,7 @@ def _read_obj(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     indices = np.where(indices < 0, indices + np.repeat(known, corners), indices - 1)
     if len(indices) and not (indices.min() >= 0 and indices.max() < len(vertices)):
         raise ValueError(f"faces name vertices beyond its {len(vertices)}")
-    return vertices, _fans(indices, corners)
-
-
-def _fans(indices: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Triangles (m, 3) of polygons given by all their corners in a row and the number (p,) of each one's."""
-    each = corners - 2
-    first = np.repeat(np.cumsum(corners) - corners, each)
-    within = np.arange(each.sum()) - np.repeat(np.cumsum(each) - each, each)
-    return np.stack([indices[first], indices[first + within + 1], indices[first + within + 2]], axis=1).astype(np.int32)
+    return vertices, polygon_fans(indices, corners)
 
 
 def _vertex_colours(mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:

@@ -201,7 +201,7 @@ def write_expressions_report(page: ExpressionsPage, path: Path | str) -> None:
         axes=_axes(page, painter, missing_report(page.faces)[:PICTURED_AXES]),
         deviations=f"{DEVIATIONS:g}",
         overlap=overlaps(page.faces),
-        span=span_report(page.faces.quasi, page.faces.eigen),
+        span=span_report(page.faces.quasi, page.faces.hyperplane),
         added=page.faces.quasi.names[len(hand) :],
         frames=_frames(page),
         over_all=_over_all(page),
@@ -252,7 +252,7 @@ def _card(page: ExpressionsPage, painter: FacePainter, shape: _Shape, top_mm: fl
 
 def _axes(page: ExpressionsPage, painter: FacePainter, missing: Sequence[MissingAxis]) -> list[_Axis]:
     """The mean face moved both ways along each axis, and the hand-made shape most like it."""
-    eigen, hand = page.faces.eigen, page.faces.hand
+    eigen, hand = page.faces.hyperplane, page.faces.hand
     shown = []
     for told in missing:
         nearest = hand.displacements[hand.names.index(told.nearest)]

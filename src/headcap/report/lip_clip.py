@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from headcap.artifacts import Manifest
 from headcap.evaluation.lip_clip import LipClip
 from headcap.evaluation.lip_clips import clip_figures, closure_totals
 from headcap.evaluation.lip_closures import WITHIN_S, ClosureTest
@@ -18,7 +17,7 @@ from headcap.recordings.video import VideoFrames
 from headcap.report.lip_clip_figures import clip_curves, told_frames
 from headcap.report.overlays import jpeg_uri
 from headcap.report.page import Shown, drawing, write_page
-from headcap.report.provenance import manifests_of, versions
+from headcap.report.provenance import PageFoot
 
 
 @dataclass(frozen=True)
@@ -63,20 +62,11 @@ class ClipStory:
     closures: tuple[ClosureRow, ...]
 
 
-@dataclass(frozen=True)
-class _Inputs:
-    """What every page tells."""
-
-    figures: tuple[Figure, ...]
-    manifests: tuple[tuple[str, Manifest], ...]
-    versions: Mapping[str, str]
-    settings: Mapping
-
-
 def write_clip_report(files: Sequence[ClipFiles], failures: Mapping[str, str], settings: Mapping, path: Path | str) -> None:
     """Write the page as one HTML file; `failures` says of each video without an answer why there is none."""
     clips = [LipClip.load(each.clip) for each in files]
-    inputs = _Inputs(tuple(clip_figures(clips)), manifests_of(each.sequence for each in files), versions(), settings)
+    sequences = {f"{each.sequence.parent.name}/{each.sequence.name}": each.sequence for each in files}
+    inputs = PageFoot.of(clip_figures(clips), sequences, settings)
     write_page(
         path,
         "lip_clip.html.j2",

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from headcap.artifacts import Manifest
 from headcap.evaluation.lips_study import ALL, LipRow, LipStudy
-from headcap.evaluation.metrics import Figure, load_metrics
+from headcap.evaluation.metrics import load_metrics
 from headcap.report import lips_figures as diagrams
 from headcap.report.overlays import load_image
 from headcap.report.page import Shown, drawing, write_page
-from headcap.report.provenance import manifests_of, versions
+from headcap.report.provenance import PageFoot
 
 _INPUTS_OF = ("GR", "MS", "PS")
 """Whose tables 2 and 3 are shown: the first that has baselines."""
@@ -39,20 +38,10 @@ class LipFiles:
         return [self.tables, self.figures, *self.maps, *self.comparisons, *self.curves, *self.inpainted, *self.sheets]
 
 
-@dataclass(frozen=True)
-class _Inputs:
-    """What every page tells."""
-
-    figures: tuple[Figure, ...]
-    manifests: tuple[tuple[str, Manifest], ...]
-    versions: Mapping[str, str]
-    settings: Mapping
-
-
 def write_lips_report(files: LipFiles, people: Mapping[str, str], settings: Mapping, path: Path | str) -> None:
     """Write the page as one HTML file; `people` says of each whose takes were tested what they were to the study."""
     study = LipStudy.load(files.tables)
-    inputs = _Inputs(tuple(load_metrics(files.figures)), manifests_of((files.tables, files.figures)), versions(), settings)
+    inputs = PageFoot.of(load_metrics(files.figures), {path.name: path for path in (files.tables, files.figures)}, settings)
     told = next((relation for relation in _INPUTS_OF if len(study.by_inputs(relation)) > 1), None)
     write_page(
         path,

@@ -66,7 +66,7 @@ def collect_study_page(files: StudyFiles, settings: Mapping) -> StudyInputs:
         figures=load_metrics(files.figures),
         animations=(*scene.own_voices(), *scene.group_voices(), *scene.faces()),
         groups={person: ", ".join(name for name, group in files.groups.items() if person in group) for person in held},
-        manifests=manifests_of(files.all),
+        manifests=manifests_of({str(path): path for path in files.all}),
         versions=versions(),
         settings=settings,
     )

@@ -14,7 +14,7 @@ from headcap.lips.base_files import BaseTrackFiles, load_base_track
 from headcap.lips.clips import video_clip
 from headcap.lips.foreign_tracks import BaseTrack
 from headcap.lips.kit import LipKit
-from headcap.workflow.lips import save_corrected, show_corrected, told_frames
+from headcap.workflow.lips import answer_lines, save_corrected, show_corrected
 
 __all__ = ["BaseTrackFiles", "correct_base_track"]
 
@@ -49,7 +49,7 @@ def correct_base_track(
     save_cameras(folder / "camera.json", Rig((clip.camera,)))
     save_corrected(folder, clip, kit, corrected, [videos[0], kit_file, camera, *files.given], camera_name)
     show_corrected(folder, clip, corrected, videos[0])
-    return told_frames(track, corrected, "the base track lacks {} frames")
+    return answer_lines(track, corrected, "the base track lacks {} frames")
 
 
 def _in_view(kit: LipKit, track: BaseTrack, camera: Camera) -> bool:

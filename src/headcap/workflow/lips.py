@@ -148,7 +148,7 @@ def correct_video(request: LipRequest, folder: Path, kit: LipKit | None = None) 
     show_corrected(folder, seen, corrected, request.video)
     judge_clip(request.video.stem, kit.head, track, corrected, words).save(folder / "clip.npz")
     restarted = sum(state is FrameState.RESTARTED for state in track.states)
-    return told_frames(track, corrected, f"the face was lost in {{}} frames and found again {restarted} times")
+    return answer_lines(track, corrected, f"the face was lost in {{}} frames and found again {restarted} times")
 
 
 def _save_detail(folder: Path, seen: Clip, kit: LipKit, track: MonocularTrack, corrected: CorrectedClip) -> None:
@@ -215,7 +215,7 @@ def show_corrected(folder: Path, clip: Clip, corrected: CorrectedClip, video: Pa
     write_overlay(folder / "overlay.mp4", clip, corrected, video)
 
 
-def told_frames(track: BaseTrack, corrected: CorrectedClip, lost: str) -> list[str]:
+def answer_lines(track: BaseTrack, corrected: CorrectedClip, lost: str) -> list[str]:
     """Lines of how many frames have an answer and why others have none; `lost` says so of a number {} the base track lacks."""
     lacking, unseen = int((~track.answered).sum()), int((track.answered & ~corrected.contours.found).sum())
     lines = [f"{int(corrected.answered.sum())} of {len(corrected.answered)} frames corrected"]
