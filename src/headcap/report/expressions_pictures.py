@@ -21,6 +21,9 @@ AZIMUTH_DEG = 24.0
 MOVES_SHARE = 0.12
 """A point belongs to the picture where any shape moves it by this share of the farthest movement of all."""
 _CAPTURED, _REPRODUCED = (214, 40, 40), (36, 84, 214)
+_MOVED = (0, 135, 122)
+_TOLD_SHARE = 0.1
+"""Markers that move less than this share of the one that moves most are shown at rest only."""
 _CLAY = np.array([[226.0, 222.0, 216.0]])
 _HEAT = heat_colours(np.linspace(0, 1, 256), 1.0)
 _DARKEST, _DARKEST_HEAT = 0.05, 0.45
@@ -72,7 +75,7 @@ class FacePainter:
         farthest = np.max([np.linalg.norm(each, axis=1) for each in displacements], axis=0)
         moves = farthest >= _NEAR_SHARE * max(farthest.max(), 1e-9)
         pixels = np.concatenate([self._pixels(each)[moves] for each in (*displacements, np.zeros_like(self.neutral))])
-        if not self.is_mesh or not len(pixels):
+        if not len(pixels):
             return self
         low, high = pixels.min(axis=0), pixels.max(axis=0)
         part = np.clip(((high - low) / size).max() * (1 + 2 * _MARGIN), 1 / NEAREST, 1.0)
@@ -86,9 +89,10 @@ class FacePainter:
         return len(self.triangles) > 0
 
     def shape(self, displacement: NDArray) -> Image:
-        """The face moved by a displacement: a matt surface, or each marker with the way it came from the neutral face."""
+        """The face moved by a displacement: a matt surface, or markers at rest, grey, and where those went that move."""
         if not self.is_mesh:
-            return self._pairs(np.zeros_like(self.neutral), displacement, (_REST, _REPRODUCED))
+            length = np.linalg.norm(displacement, axis=1)
+            return self._pairs(np.zeros_like(self.neutral), displacement, (_REST, _MOVED), length > _TOLD_SHARE * length.max())
         return self._surface(displacement, np.zeros(len(self.neutral)), _CLAY, _DARKEST)
 
     def errors(self, displacement: NDArray, error_mm: NDArray, top_mm: float) -> Image:
@@ -102,7 +106,7 @@ class FacePainter:
 
     def against(self, captured: NDArray, reproduced: NDArray) -> Image:
         """Figure 4 of the paper: captured points red, reproduced ones blue, and a line between the two."""
-        return self._pairs(captured, reproduced, (_CAPTURED, _REPRODUCED))
+        return self._pairs(captured, reproduced, (_CAPTURED, _REPRODUCED), np.ones(len(captured), bool))
 
     def _surface(self, displacement: NDArray, shares: NDArray, palette: NDArray, darkest: float) -> Image:
         """The shaded mesh, coloured by shares (n,) of the way through a palette (c, 3)."""
@@ -112,14 +116,15 @@ class FacePainter:
         corners = (raster.triangle, raster.barycentric, self.triangles)
         return _averaged(_paint(*corners, light, np.asarray(shares, float), palette, darkest))
 
-    def _pairs(self, before: NDArray, after: NDArray, colours: tuple) -> Image:
-        """Points at two places (n, 3), joined; the latter on top."""
+    def _pairs(self, before: NDArray, after: NDArray, colours: tuple, told: NDArray[np.bool_]) -> Image:
+        """Points at two places (n, 3); of those that are `told` (n,) the latter on top, joined to the former."""
         canvas, (first, second) = self._canvas(), colours
         starts, ends = self._pixels(before), self._pixels(after)
-        for start, end in zip(starts, ends, strict=True):
+        for start in starts:
             self._dot(canvas, start, first)
+        for start, end in zip(starts[told], ends[told], strict=True):
             cv2.line(canvas, _fixed(start), _fixed(end), _TRACE, _FINER, cv2.LINE_AA, _SHARP)
-        for end in ends:
+        for end in ends[told]:
             self._dot(canvas, end, second, 0.75)
         return _averaged(canvas)
 

@@ -108,6 +108,14 @@ def test_captured_markers_are_red_and_reproduced_ones_blue_where_they_are(marker
     assert (exact[grey_line] > 200).all()
 
 
+def test_a_shape_of_markers_shows_which_move(markers):
+    painter, moved = markers
+    green = lambda image: (image[..., 1] > image[..., 0].astype(int) + 50).sum()  # noqa: E731
+    assert green(painter.shape(np.zeros_like(moved))) == 0
+    few = np.where(np.arange(len(moved))[:, None] == length_mm(moved).argmax(), moved, 0)
+    assert 0 < green(painter.shape(few)) < green(painter.shape(moved))
+
+
 def test_markers_take_the_colour_of_their_error(markers):
     painter, moved = markers
     error = np.linspace(0, 1, len(moved))
