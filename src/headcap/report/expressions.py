@@ -103,44 +103,48 @@ def collect_expressions_page(
     compared: ExpressionFigures,
     *,
     bounds: tuple[float, float] | None = None,
+    weights: Mapping[str, NDArray] | None = None,
     figures: Sequence[Figure] = (),
     manifests: Sequence[tuple[str, Manifest]] = (),
     settings: Mapping | None = None,
 ) -> ExpressionsPage:
-    """Gather what the page tells: weights of all frames (eq. 5, `bounds` as in `compare_bases`), faces of the pictured ones.
+    """Gather what the page tells; of the frames a block is in memory at a time.
 
-    One passage over the frames, a block of which is in memory at a time.
+    `bounds` are those of `compare_bases`: faces are pictured as they were judged. `weights` (l, elements) by "hand" or "quasi"
+    are drawn over time instead of those of eq. 5 within the bounds, where a studio is given others: smooth or sparse ones.
     """
     moments = telling_moments(compared.hand.frame_alpha_pct, compared.quasi.frame_alpha_pct)
     solvers = {name: ExpressionSolver(basis, bounds=bounds) for name, basis in (("hand", faces.hand), ("quasi", faces.quasi))}
-    weights: dict[str, list[NDArray]] = {name: [] for name in solvers}
-    captured, first = {}, 0
-    for block in performance.blocks():
-        for name, solver in solvers.items():
-            weights[name].append(np.asarray(solver.solve(block), np.float64))
-        captured |= {m.frame: np.array(block[m.frame - first]) for m in moments if first <= m.frame < first + len(block)}
-        first += len(block)
-    solved = {name: np.concatenate(parts) for name, parts in weights.items()}
-    frames = [moment.frame for moment in moments]
-    shown = np.stack([captured[frame] for frame in frames])
+    captured = _frames_of(performance, [moment.frame for moment in moments])
+    solved = {name: solver.solve(performance) for name, solver in solvers.items() if name not in (weights or {})}
+    drawn = solved | dict(weights or {})
     return ExpressionsPage(
         performance=performance,
         faces=faces,
         compared=compared,
         moments=moments,
-        captured=shown,
+        captured=captured,
         reproduced={
-            "hand": _blended(faces.hand, solved["hand"][frames]),
-            "quasi": _blended(faces.quasi, solved["quasi"][frames]),
-            "pca": _on_axes(faces.eigen, compared.elements, shown),
+            "hand": _blended(faces.hand, solvers["hand"].solve(captured)),
+            "quasi": _blended(faces.quasi, solvers["quasi"].solve(captured)),
+            "pca": _on_axes(faces.eigen, compared.elements, captured),
         },
-        weights={name: each[:, : len(faces.hand)] for name, each in solved.items()},
+        weights={name: np.asarray(each, np.float64)[:, : len(faces.hand)] for name, each in drawn.items()},
         bounds=bounds,
         figures=tuple(figures),
         manifests=tuple(manifests),
         versions=versions(),
         settings=dict(settings or {}),
     )
+
+
+def _frames_of(performance: Performance, frames: Sequence[int]) -> NDArray[np.float32]:
+    """Displacements (f, n, 3) of some frames, in the order asked for, metres."""
+    found, first = {}, 0
+    for block in performance.blocks():
+        found |= {frame: np.array(block[frame - first]) for frame in frames if first <= frame < first + len(block)}
+        first += len(block)
+    return np.stack([found[frame] for frame in frames])
 
 
 def _blended(basis: ExpressionBasis, weights: NDArray) -> NDArray[np.float64]:

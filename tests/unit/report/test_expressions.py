@@ -121,6 +121,17 @@ def test_pictured_frames_are_reproduced_as_they_are_judged(made):
         assert np.allclose(rms_mm, judged, atol=1e-4)
 
 
+def test_given_weights_are_drawn_and_faces_stay_as_they_were_judged(faces_and_performance, made):
+    faces, performance = faces_and_performance
+    given = {"quasi": np.full((FRAMES, SHAPES + 1), 0.3)}
+    page = collect_expressions_page(performance, faces, made[0].compared, weights=given)
+    assert page.weights["quasi"].shape == (FRAMES, SHAPES)
+    assert (page.weights["quasi"] == 0.3).all()
+    assert np.allclose(page.weights["hand"], made[0].weights["hand"])
+    for name in ("hand", "quasi"):
+        assert np.allclose(page.reproduced[name], made[0].reproduced[name], atol=1e-9)
+
+
 def test_moments_are_the_worst_and_a_typical_one():
     hand, quasi = np.array([3.0, 9.0, 1.0, 5.0, 4.0]), np.array([0.1, 0.2, 0.1, 0.1, 0.5])
     assert [moment.frame for moment in telling_moments(hand, quasi)] == [1, 4]
