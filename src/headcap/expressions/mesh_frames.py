@@ -42,12 +42,8 @@ class MeshFrames:
 
     def called(self, frames: NDArray) -> str:
         """Frames by number, and by file where they are files: "3, 7 to 9"."""
-        edges = np.flatnonzero(np.diff(frames) > 1)
-        firsts, lasts = frames[np.r_[0, edges + 1]], frames[np.r_[edges, len(frames) - 1]]
-        runs = [f"{a}" if a == b else f"{a} to {b}" for a, b in zip(firsts[:12], lasts[:12], strict=True)]
-        more = f" and {len(firsts) - 12} more runs" if len(firsts) > 12 else ""
         named = f" ({self.labels[frames[0]]})" if self.labels else ""
-        return ", ".join(runs) + more + named
+        return frame_runs(frames, 12) + named
 
 
 class FrameCache:
@@ -78,3 +74,11 @@ def refuse_other_count(name: str, count: int, first: str, expected: int, what: s
             expected=f"the {expected} of {first}",
             remedy="Export all frames from one mesh, in one vertex order.",
         )
+
+
+def frame_runs(frames: NDArray, most: int = 6) -> str:
+    """Frame numbers (rising) in words: "3, 7 to 9"."""
+    edges = np.flatnonzero(np.diff(frames) > 1)
+    firsts, lasts = frames[np.r_[0, edges + 1]], frames[np.r_[edges, len(frames) - 1]]
+    told = [f"{a}" if a == b else f"{a} to {b}" for a, b in zip(firsts[:most], lasts[:most], strict=True)]
+    return ", ".join(told) + (f" and {len(firsts) - most} runs more" if len(firsts) > most else "")

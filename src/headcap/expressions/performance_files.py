@@ -83,7 +83,7 @@ def read_performance(
     check_size(frames.positions[0:1][0] * scale, f"the first frame of {frames.source}", None if frames.in_metres else unit)
     face = neutral_face(frames, scale, neutral, triangles, unit)
     held = _mask(still, face) if still is not None else None
-    weights = _face_weights(face, region, settings.fade_mm)
+    weights = face_weights(face, region, settings.fade_mm)
     motion, found = _head_motion(frames, scale, face, held, settings)
     blocks = _Blocks(frames, scale, motion, face.vertices, weights)
     found |= _compare_with_neutral(blocks, face, frames.source, settings)
@@ -104,8 +104,11 @@ def _mask(mask: NDArray, face: NeutralFace) -> NDArray[np.bool_]:
     return mask
 
 
-def _face_weights(face: NeutralFace, region: str | NDArray | None, fade_mm: float) -> NDArray[np.float32] | None:
-    """(n,) share of the displacement that counts; None where all of it does."""
+def face_weights(face: NeutralFace, region: str | NDArray | None, fade_mm: float) -> NDArray[np.float32] | None:
+    """(n,) share of the displacement that counts, for a mask (n,) or a region by name, the face's where none is named.
+
+    None where all of it does: no region named and none known. Raises `InputError` for unknown names and masks that do not fit.
+    """
     if isinstance(region, str):
         if region not in face.regions:
             raise InputError(
