@@ -26,6 +26,8 @@ _STREAM = 2006
 _MISPLACEMENT, _DIRECTION, _NEIGHBOUR, _ASYMMETRY, _AMPLITUDE = range(5)
 _WAVE_M = 0.1
 """Wavelength at which directions of motion go wrong: about the breadth of a mouth and a cheek."""
+_MIDDLE_M = 0.01
+"""From the middle of the face slips turn from one side's way to the other's within this."""
 _STEP = 0.5
 """Length of a step of a slip in median edges, so that few steps leave their triangle."""
 
@@ -39,7 +41,9 @@ class SculptorSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    misplacement_mm: float = Field(default=6.0, ge=0, description="Shapes sit up to so far from their place on the face.")
+    misplacement_mm: float = Field(
+        default=6.0, ge=0, description="Shapes sit up to so far from their place on the face; half at least."
+    )
     smoothing_mm: float = Field(
         default=8.0, ge=0, description="Detail finer than this is lost: standard deviation of a Gaussian along the surface."
     )
@@ -59,7 +63,7 @@ class SculptorSettings(BaseModel):
         default=0.3,
         ge=0,
         lt=1,
-        description="Left and right of a shape are up to so much too strong or too weak, against each other.",
+        description="Left and right of a shape are up to so much too strong or weak, against each other; half at least.",
     )
     amplitude: float = Field(default=0.3, ge=0, lt=1, description="Shapes are up to so much too large or too small.")
 
@@ -153,7 +157,7 @@ def _random(seed: int, which: int) -> np.random.Generator:
 
 
 def _misplaced(basis: ExpressionBasis, shapes: NDArray, most_m: float, random: np.random.Generator) -> NDArray:
-    """d(x + s) in place of d(x), s of its own for each shape, by flowing along the surface.
+    """d(x + s) in place of d(x), s of its own for each shape, by flowing along the surface; both sides mirror each other.
 
     Open edges stay where they are, for a sculptor sees where lips and lids end; the slip has its whole length `most_m` from them.
     """
@@ -161,8 +165,9 @@ def _misplaced(basis: ExpressionBasis, shapes: NDArray, most_m: float, random: n
     steps = max(1, int(np.ceil(most_m / (_STEP * np.median(np.linalg.norm(edges, axis=1))))))
     free = np.minimum(_edge_distances(basis.neutral, basis.triangles) / most_m, 1)[:, None] / steps
     out = shapes.copy()
+    mirrored = np.column_stack([np.tanh(_across(basis.neutral) / _MIDDLE_M), np.ones((len(free), 2))])
     for index, shift in enumerate(most_m * _directions(random, len(shapes))):
-        operator = slip(basis.neutral, basis.triangles, shift * free)
+        operator = slip(basis.neutral, basis.triangles, shift * mirrored * free)
         for _ in range(steps):
             out[index] = operator @ out[index]
     return out
@@ -175,21 +180,32 @@ def _edge_distances(vertices: NDArray, triangles: NDArray) -> NDArray:
 
 
 def _turned(neutral: NDArray, shapes: NDArray, most: float, random: np.random.Generator) -> NDArray:
-    """Displacements turned by a rotation vector whose parts are plane waves over the face, other ones for each shape."""
+    """Displacements turned by a rotation vector whose parts are slow waves over the face, other ones for each shape.
+
+    The two sides mirror each other, as sculptors work: what turns about an axis across the face is even, the rest is odd.
+    """
     out = np.empty_like(shapes)
+    across = _across(neutral)
     points = neutral.astype(np.float64) - neutral.mean(axis=0)
     for index, shape in enumerate(shapes):
         waves = 2 * np.pi / _WAVE_M * _unit(random.normal(size=(3, 3)))
-        phases = np.sin(points @ waves.T + random.uniform(0, 2 * np.pi, 3))
-        # three sines are sqrt(3) long at most
-        matrices = rotation_matrices(most / np.sqrt(3) * phases)
-        out[index] = np.einsum("nij,nj->ni", matrices, shape)
+        phases = points[:, 1:] @ waves[:, 1:].T + random.uniform(0, 2 * np.pi, 3)
+        sides = across[:, None] * waves[:, 0]
+        # three parts of one at most are sqrt(3) long at most
+        angles = most / np.sqrt(3) * np.sin(phases) * np.column_stack([np.cos(sides[:, 0]), np.sin(sides[:, 1:])])
+        out[index] = np.einsum("nij,nj->ni", rotation_matrices(angles), shape)
     return out
 
 
 def _directions(random: np.random.Generator, count: int) -> NDArray:
     """(count, 3) of length 1/2 to 1, any way."""
     return random.uniform(0.5, 1, (count, 1)) * _unit(random.normal(size=(count, 3)))
+
+
+def _across(neutral: NDArray) -> NDArray[np.float64]:
+    """(n,) metres from the middle of the face, along x."""
+    x = neutral[:, 0].astype(np.float64)
+    return x - 0.5 * (x.min() + x.max())
 
 
 def _unit(vectors: NDArray) -> NDArray:
@@ -204,7 +220,8 @@ def _mixed(shapes: NDArray, nearest: NDArray, most: float, random: np.random.Gen
 
 def _uneven(neutral: NDArray, shapes: NDArray, most: float, random: np.random.Generator) -> NDArray:
     """Gain 1 + a tanh(2 x / half width), x from the middle of the face."""
-    x = neutral[:, 0] - 0.5 * (neutral[:, 0].min() + neutral[:, 0].max())
+    x = _across(neutral)
     sides = np.tanh(2 * x / max(np.abs(x).max(), 1e-12))
-    gains = 1 + most * random.uniform(-1, 1, (len(shapes), 1)) * sides
+    amounts = random.uniform(0.5, 1, (len(shapes), 1)) * random.choice([-1, 1], (len(shapes), 1))
+    gains = 1 + most * amounts * sides
     return shapes * gains[:, :, None]

@@ -129,13 +129,34 @@ def test_a_slip_reads_linear_functions_where_it_points_and_stays_at_open_edges()
 
 def test_misplaced_shapes_are_the_same_shapes_elsewhere(basis):
     made = sculpt(basis, only(misplacement_mm=6), 4)
-    for before, after in zip(basis.displacements, made.displacements, strict=True):
+    # the third sits in the middle, where the two sides slip opposite ways and stretch it
+    for index in (0, 1, 3):
+        before, after = basis.displacements[index], made.displacements[index]
         weights = np.stack([np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)])
         centres = weights @ basis.neutral / weights.sum(axis=1, keepdims=True)
         # half the length at least, less what points out of the sheet; a tenth of the bump is at its edges, where nothing slips
         assert 0.0002 < np.linalg.norm(centres[1] - centres[0]) < 0.006
         assert np.abs(after).max() <= np.abs(before).max() + 1e-9
         assert weights[1].sum() == pytest.approx(weights[0].sum(), rel=0.05)
+
+
+def test_all_but_asymmetry_leave_the_sides_alike():
+    vertices, triangles = sheet()
+    mirrored = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)[:, ::-1].ravel()
+    x, y, _ = vertices.T
+    bump = np.exp(-((np.abs(x) - 0.02) ** 2 + (y - 0.01) ** 2) / (2 * 0.01**2))
+    even = 0.005 * bump[:, None] * np.column_stack([np.tanh(x / 0.01), np.ones_like(x), np.ones_like(x)])
+    shapes = ExpressionBasis(("one", "other"), vertices, np.stack([even, even * [0.5, 1, -1]]), triangles)
+
+    def unlike(**strength: float) -> float:
+        made = sculpt(shapes, only(**strength), 4).displacements
+        away = made[:, mirrored] * [-1, 1, 1] - made
+        return float(np.linalg.norm(away) / np.linalg.norm(made))
+
+    assert max(unlike(direction_deg=40), unlike(amplitude=0.3), unlike(neighbour=0.3)) < 1e-6
+    # the sheet's diagonals all run one way, which the slip and the blur see
+    assert max(unlike(misplacement_mm=6), unlike(smoothing_mm=8)) < 0.05
+    assert unlike(asymmetry=0.3) > 0.05
 
 
 def test_points_without_triangles_neither_slip_nor_blur(basis):
