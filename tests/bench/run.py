@@ -21,7 +21,18 @@ from pathlib import Path
 
 # set before numpy is imported anywhere: one thread, so that CPU-seconds are comparable between programs
 THREADS = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-PACKAGES = ("headcap", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "trimesh", "pycolmap", "libigl")
+PACKAGES = (
+    "headcap",
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "open3d",
+    "trimesh",
+    "pycolmap",
+    "libigl",
+    "scikit-learn",
+)
 HERE = Path(__file__).resolve().parent
 
 
