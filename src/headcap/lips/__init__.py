@@ -1,8 +1,8 @@
 """Lips: what a monocular tracker gets wrong about the mouth, learnt from a rig and corrected in any video."""
 
 from headcap.lips.artifact import LipRegressor
-from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, HeldBorder, canonical_meshes
-from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, border_in_picture, lip_features
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, HeldPlaces, canonical_meshes
+from headcap.lips.features import FeatureSpace, LipContours, LipFeatures, lip_features
 from headcap.lips.foreign_tracks import BaseTrack, FlameTrack, MeshTrack, canonical_track, load_flame_track, mesh_track
 from headcap.lips.mouth import Mouth, MouthSettings, find_mouth
 from headcap.lips.regression import LipTake, RegressionSettings, train_regression
@@ -13,7 +13,7 @@ __all__ = [
     "CorrectionLayer",
     "FeatureSpace",
     "FlameTrack",
-    "HeldBorder",
+    "HeldPlaces",
     "LipContours",
     "LipFeatures",
     "LipRegressor",
@@ -22,7 +22,6 @@ __all__ = [
     "Mouth",
     "MouthSettings",
     "RegressionSettings",
-    "border_in_picture",
     "canonical_meshes",
     "canonical_track",
     "find_mouth",

@@ -5,6 +5,7 @@ Frames are canonical: metres in the head's frame (y up, z out of the face), rigi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -149,16 +150,13 @@ class CorrectionLayer:
             row[:] = numbers
         return out
 
-    def corrected(self, base: NDArray, parameters: NDArray, border: HeldBorder | None = None) -> NDArray[np.float64]:
+    def corrected(self, base: NDArray, parameters: NDArray) -> NDArray[np.float64]:
         """Meshes (f, n, 3) of base-tracked ones (f, n, 3), canonical, with the layer (f, T, 9) put in.
 
         Deformation transfer: the vertices of the patch about the mouth minimise the sum over its triangles of weight x area x
         |S - G C|^2, G the layer's gradient (none outside of it), C of C_0 -> C_f; weights are `Mouth.weights`. Edges of C_f are
         carried, distances are weighed by C_0, so one Cholesky factor serves all frames; what lies about the patch stays as it
         was tracked. Frames with NaN stay NaN there.
-
-        With a `border` the lips' border is drawn to where a picture shows it (section 8, future work): the same sum plus
-        `HeldBorder.weight` x squared distances across the view, which is another constant matrix and one more factor.
         """
         base, parameters = np.asarray(base, np.float64), np.asarray(parameters)
         _check_meshes(base, self.base_neutral)
@@ -167,17 +165,31 @@ class CorrectionLayer:
             raise InputError(f"a layer of {parameters.shape}", expected=f"{wanted}", remedy="Use the mask it was learnt with.")
         out, patch = base.copy(), self._patch
         gradients = np.empty((len(self.mouth.layer), 3, 3))
-        held = np.zeros(len(base), bool) if border is None else np.isfinite(border.targets).all(axis=(1, 2))
-        for frame, (mesh, numbers) in enumerate(zip(out, parameters, strict=True)):
+        for mesh, numbers in zip(out, parameters, strict=True):
             compose(self.mouth.fade[:, None] * numbers, gradients)
             right = np.zeros((len(patch.free) + len(patch.rim), 3))
             _carried_edges(mesh, patch.corners, patch.local, patch.layer_of, patch.cotangents, gradients, right)
             inner = right[: len(patch.free)] - patch.border @ mesh[patch.rim]
-            solved = patch.factor.solve(inner)
-            if held[frame]:
-                matrix, factor = patch.held(border)
-                solved[:, :2] = factor.solve(inner[:, :2] + border.weight * (matrix.T @ border.targets[frame]))
-            mesh[patch.free] = solved
+            mesh[patch.free] = patch.factor.solve(inner)
+        return out
+
+    def drawn(self, corrected: NDArray, held: Sequence[HeldPlaces | None]) -> NDArray[np.float64]:
+        """Canonical meshes (f, n, 3) that `corrected` gave, drawn to places that a picture shows (section 8, future work).
+
+        The minimisers of the same sum plus `HeldPlaces.weight` x squared distances across the view. With the factor K of the sum
+        alone and rows A that take the places off the vertices, x + K^-1 A^T (W^-1 + A K^-1 A^T)^-1 (t - A x): a small system per
+        frame, whichever places each holds. Raises `InputError` for another number of frames or topology.
+        """
+        corrected = np.asarray(corrected, np.float64)
+        _check_meshes(corrected, self.base_neutral)
+        if len(held) != len(corrected):
+            raise InputError(
+                f"places held in {len(held)} frames", expected=f"{len(corrected)}", remedy="Give None for frames without."
+            )
+        out = corrected.copy()
+        for mesh, places in zip(out, held, strict=True):
+            if places is not None and len(places.share):
+                self._patch.draw(mesh, places)
         return out
 
     @cached_property
@@ -186,17 +198,22 @@ class CorrectionLayer:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldBorder:
-    """Where the lips' border belongs, seen along the head's z axis."""
+class HeldPlaces:
+    """Where k places of one mesh belong, seen along the head's z axis."""
 
     edges: NDArray[np.int64]
-    """(k, 2) vertices; the places lie on edges of the lips' border."""
+    """(k, 2) vertices; the places lie on edges of the patch."""
     share: NDArray[np.float64]
     """(k,) how far along."""
     targets: NDArray[np.float64]
-    """(f, k, 2) x, y metres, canonical; a frame with NaN is not held."""
-    weight: float = 1.0
-    """Of a squared distance, beside strains: the collar's stiffness against a shift of the mouth is about five."""
+    """(k, 2) x, y metres, canonical; a coordinate that is NaN is free."""
+    weight: NDArray[np.float64]
+    """(k,) of a squared distance, beside strains: the collar's stiffness against a shift of the mouth is about five."""
+
+    def joined(self, other: HeldPlaces) -> HeldPlaces:
+        """Both together."""
+        names = ("edges", "share", "targets", "weight")
+        return HeldPlaces(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
 
 
 class _TrueMotion:
@@ -253,20 +270,21 @@ class _Patch:
         laplacian = _laplacian(self.local, self.cotangents, len(used))
         inner = slice(0, len(self.free))
         self.border = sparse.csr_array(laplacian[inner, len(self.free) :])
-        self._matrix, self._number = laplacian[inner, inner], number
-        self.factor = Factor(self._matrix)
-        self._held: tuple | None = None
+        self.factor, self._number = Factor(laplacian[inner, inner]), number
 
-    def held(self, border: HeldBorder) -> tuple[sparse.csr_array, Factor]:
-        """Rows (k, free) that take the places off the free vertices, and the factor of the Laplacian with these held."""
-        if self._held is None or self._held[0] != (border.weight, border.edges.tobytes(), border.share.tobytes()):
-            rows = np.repeat(np.arange(len(border.share)), 2)
-            columns = self._number[border.edges].ravel()
-            values = np.stack([1 - border.share, border.share], axis=1).ravel()
-            matrix = sparse.csr_array((values, (rows, columns)), shape=(len(border.share), len(self.free)))
-            factor = Factor(sparse.csr_array(self._matrix + border.weight * (matrix.T @ matrix)))
-            self._held = (border.weight, border.edges.tobytes(), border.share.tobytes()), matrix, factor
-        return self._held[1:]
+    def draw(self, mesh: NDArray, places: HeldPlaces) -> None:
+        """Move the free vertices of a mesh (n, 3) to the constrained minimum, see `CorrectionLayer.drawn`."""
+        count = len(places.share)
+        rows = np.repeat(np.arange(count), 2)
+        values = np.stack([1 - places.share, places.share], axis=1).ravel()
+        off = sparse.csr_array((values, (rows, self._number[places.edges].ravel())), shape=(count, len(self.free)))
+        reach = self.factor.solve(off.T.toarray())
+        between = off @ reach
+        for axis in range(2):
+            known = np.isfinite(places.targets[:, axis])
+            away = (places.targets[:, axis] - off @ mesh[self.free, axis])[known]
+            stiff = between[np.ix_(known, known)] + np.diag(1 / places.weight[known])
+            mesh[self.free, axis] += reach[:, known] @ np.linalg.solve(stiff, away)
 
 
 def canonical_truth(

@@ -12,7 +12,7 @@ from headcap.cameras import Camera
 from headcap.errors import InputError
 from headcap.geometry.transforms import invert
 from headcap.heads import HeadCoefficients, HeadModel
-from headcap.lips.correction import CanonicalMeshes, HeldBorder
+from headcap.lips.correction import CanonicalMeshes
 from headcap.lips.mouth import Mouth
 
 SAMPLES = 20
@@ -165,26 +165,6 @@ def lip_features(
     return LipFeatures(space.shape(base.meshes, neutral), distances)
 
 
-def border_in_picture(
-    space: FeatureSpace, meshes: CanonicalMeshes, camera: Camera, contours: Sequence[LipContours | None], weight: float = 1.0
-) -> HeldBorder:
-    """Where a camera's outer contours place the lips' border of canonical meshes (f, n, 3), for `CorrectionLayer.corrected`.
-
-    Meshes are best those that are corrected already: the contour is searched along their border's normals and cast back to their
-    depth, so that what lies wrongly along the contour is left alone.
-    """
-    targets = np.full((len(contours), SAMPLES, 2), np.nan)
-    tracked = np.isfinite(meshes.meshes).all(axis=(1, 2))
-    told = np.flatnonzero([seen and found is not None for seen, found in zip(tracked, contours, strict=True)])
-    if len(told):
-        chosen = CanonicalMeshes(meshes.meshes[told], meshes.world_from_canonical[told])
-        samples = space.samples(chosen.meshes)
-        pixels = camera.project(chosen.world(samples))[0]
-        found = np.array([contour_points(at, contours[f])[0] for at, f in zip(pixels, told, strict=True)])
-        targets[told] = _cast_back(found, samples[..., 2], camera, chosen.world_from_canonical)
-    return HeldBorder(space.border, space.share, targets, weight)
-
-
 def tracking_shapes(model: HeadModel) -> NDArray[np.float64]:
     """(e + 3, n, 3) metres: what a tracker fits, the expression basis and the jaw's small turns, each in standard deviations."""
     slopes = np.asarray(model.pose_derivative(HeadCoefficients()), np.float64)[..., -3:] * _JAW_RAD
@@ -212,7 +192,7 @@ def _distances(
     points = np.array(found)
     if flat:
         depth = np.concatenate([samples[..., 2], samples[:, BETWEEN, 2]], axis=1)
-        points = _cast_back(points, depth, camera, base.world_from_canonical)
+        points = cast_back(points, depth, camera, base.world_from_canonical)
         unit = np.full(len(points), space.eye_distance(neutral[None])[0])
     else:
         unit = space.eye_distance(camera.project(world)[0])
@@ -222,7 +202,7 @@ def _distances(
     return np.concatenate([across, between], axis=1) / unit[:, None]
 
 
-def _cast_back(pixels: NDArray, depth: NDArray, camera: Camera, world_from_canonical: NDArray) -> NDArray[np.float64]:
+def cast_back(pixels: NDArray, depth: NDArray, camera: Camera, world_from_canonical: NDArray) -> NDArray[np.float64]:
     """x, y (f, p, 2) in the head's frame of pixels (f, p, 2) at depth z (f, p) there."""
     canonical_from_world = invert(world_from_canonical)
     rays = camera.rays(pixels.reshape(-1, 2)).reshape(*pixels.shape[:-1], 3)

@@ -63,9 +63,9 @@ class LipKit:
     def correct(self, clip: Clip, track: BaseTrack) -> CorrectedClip:
         """Find contours and correct a clip that was tracked with this kit's head model, by our base tracker or another.
 
-        The outer contour is a constraint of the correction (section 8, `BORDER_WEIGHT`). Frames that the base tracker lost, or
-        whose contours were not found, are NaN and never made up. Raises `InputError` for a track of another head model and a clip
-        in which no frame shows both contours.
+        Contours are constraints of the correction (section 8, `BORDER_WEIGHT`). Frames that the base tracker lost, or whose
+        contours were not found, are NaN and never made up. Raises `InputError` for a track of another head model and a clip in
+        which no frame shows both contours.
         """
         regressor, space = self.regressor, self.space
         found = find_contours(self.finder, clip.pictures(), track.meshes(self.head), clip.camera)

@@ -12,7 +12,6 @@ from headcap.lips.features import (
     SAMPLES,
     FeatureSpace,
     LipContours,
-    border_in_picture,
     contour_points,
     lip_features,
     tracking_shapes,
@@ -125,14 +124,6 @@ def _channels():
     from headcap.synthetic.performance import CHANNELS
 
     return CHANNELS
-
-
-def test_the_border_in_the_picture_is_where_a_true_mesh_has_it(stage, subject, frames):
-    base = canonical_meshes(stage.turned(frames, 15.0), subject.neutral_m, stage.mouth.steady)
-    contours = [stage.see(mesh, stage.camera) for mesh in base.world(base.meshes)]
-    border = border_in_picture(stage.space, base, stage.camera, [*contours[:-1], None])
-    np.testing.assert_allclose(border.targets[:-1], stage.space.samples(base.meshes)[:-1, :, :2], atol=1e-8)
-    assert np.isnan(border.targets[-1]).all()
 
 
 def test_anchored_distances_are_zero_at_rest(stage, people):

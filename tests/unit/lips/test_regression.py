@@ -8,8 +8,9 @@ import pytest
 from headcap.artifacts import ArtifactError, save_arrays
 from headcap.errors import InputError
 from headcap.lips.artifact import LipRegressor
-from headcap.lips.correction import CanonicalMeshes, canonical_meshes
-from headcap.lips.features import LipFeatures, border_in_picture, lip_features
+from headcap.lips.correction import canonical_meshes
+from headcap.lips.features import LipFeatures, lip_features
+from headcap.lips.held_contours import HeldContours
 from headcap.lips.mouth import MouthSettings
 from headcap.lips.principal import principal_corrections
 from headcap.lips.regression import (
@@ -257,9 +258,8 @@ def foretold(people, unseen, settings):
 def errors_mm(stage, held, numbers):
     """Of the base tracker's meshes, of corrected ones, and of those with contours as constraints."""
     corrected = held.layer.corrected(held.base.meshes, numbers)
-    placed = CanonicalMeshes(corrected, held.base.world_from_canonical)
-    border = border_in_picture(stage.space, placed, stage.camera, held.contours)
-    drawn = held.layer.corrected(held.base.meshes, numbers, border)
+    contours = HeldContours(stage.space, stage.see, stage.camera, held.contours)
+    drawn = contours.drawn(held.layer, corrected, held.base.world_from_canonical)
     return [stage.error_mm(held.base.world(meshes), held.truth) for meshes in (held.base.meshes, corrected, drawn)]
 
 
