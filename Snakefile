@@ -80,6 +80,8 @@ include: "rules/train_lips.smk"
 include: "rules/correct_lips.smk"
 include: "rules/evaluate_lips.smk"
 include: "rules/report_lips.smk"
+include: "rules/quasi_eigen.smk"
+include: "rules/report_expressions.smk"
 include: "rules/evaluate.smk"
 
 

@@ -24,6 +24,7 @@ def run(
     starts: list[Path],
     sequences: list[Path],
     necks: list[Path],
+    expressions: list[Path],
     metrics: Path,
     takes: list[str],
     scan: dict,
@@ -38,14 +39,14 @@ def run(
         settings=settings,
         scan=ScanPlacement.load(placement).placed(load_scan(scan["file"], scan["unit"])),
     )
-    said = [figure for path in necks for figure in load_metrics(path) if figure.session == metrics.parent.name]
+    said = [figure for path in (*necks, *expressions) for figure in load_metrics(path) if figure.session == metrics.parent.name]
     save_metrics(metrics, [*figures, *said])
     write_manifest(
         metrics,
         kind="metrics",
         stage="evaluate",
         settings_digest=digest_settings(settings=settings),
-        inputs=[rig, template, placement, *ingested, *offsets, *timelines, *clouds, *starts, *sequences, *necks],
+        inputs=[rig, template, placement, *ingested, *offsets, *timelines, *clouds, *starts, *sequences, *necks, *expressions],
         figures={},
     )
 

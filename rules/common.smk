@@ -15,7 +15,7 @@ from headcap.lips.contours.labels import label_files
 from headcap.settings import CALIBRATION
 from headcap.sync.timeline import TakeTimeline
 from headcap.workflow.lock import hold_run_lock
-from headcap.workflow.plan import board_of, load_plan
+from headcap.workflow.plan import EXPRESSION_KINDS, board_of, load_plan
 from headcap.workflow.source import source_digest
 
 # one thread per job: the workflow runs jobs side by side instead, and results do not hang on the machine's cores
@@ -711,6 +711,54 @@ def lip_roles(wildcards):
     }
 
 
+# ---- expressions
+
+
+def expression_person(wildcards):
+    """A person's neutral head, takes that tell what the face does, and hand-made expressions."""
+    files = subject_files(wildcards.person, *EXPRESSION_KINDS)
+    return {key: files[key] for key in ("name", "template", "sequences")} | {
+        "basis": PLAN.expression_basis(wildcards.person)
+    }
+
+
+def expression_inputs(wildcards):
+    """What makes these files."""
+    person = wildcards.person
+    files = subject_inputs(person, *EXPRESSION_KINDS)
+    if person in PLAN.meshes:
+        return sorted({*files, *mesh_inputs(person, [PLAN.expression_basis(person)])})
+    if PLAN.sessions[person].rehearse is not None:
+        return [*files, f"results/{person}/rehearse/rehearsal.json"]
+    return [*files, PLAN.expression_basis(person)]
+
+
+def expression_limits(wildcards):
+    """Limits of figures of a person's expressions."""
+    return {
+        figure: limit
+        for figure, limit in PLAN.limits(wildcards.person).items()
+        if figure.startswith("quasi_eigen.")
+    }
+
+
+def expression_figures(wildcards):
+    """What is said of the expressions of a session's person, where there are hand-made ones."""
+    if wildcards.session not in PLAN.expression_people:
+        return []
+    return [f"results/{wildcards.session}/quasi_eigen/figures.json"]
+
+
+def expression_pages():
+    return [
+        f"results/{person}/report_expressions/expressions.html"
+        for person in PLAN.expression_people
+    ]
+
+
+# ---- the study
+
+
 def study_parts(wildcards):
     """Files of figures that make up the study's."""
     necks = (
@@ -723,6 +771,10 @@ def study_parts(wildcards):
         *(f"results/{name}/metrics.json" for name in PLAN.sessions),
         *necks,
         *lips,
+        *(
+            f"results/{name}/quasi_eigen/figures.json"
+            for name in PLAN.expression_people
+        ),
     ]
 
 
@@ -765,4 +817,5 @@ def study_results():
     pages = [f"{folder}/report_neck/neck.html"] if PLAN.neck_people else []
     pages += [f"{folder}/report_lips/lips.html"] if PLAN.lip_tested else []
     pages += lip_regressors(["lips"]) if PLAN.lip_people else []
+    pages += expression_pages()
     return pages if PLAN.is_session else [*pages, f"{folder}/metrics.json"]

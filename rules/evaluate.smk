@@ -12,6 +12,7 @@ rule evaluate:
         unpack(session_results),
         placement="results/{session}/register/placement.json",
         necks=neck_figures,
+        expressions=expression_figures,
     output:
         metrics="results/{session}/metrics.json",
     log:

@@ -63,8 +63,56 @@ def _parser() -> argparse.ArgumentParser:
 
     _add_neck_commands(add)
     _add_lip_commands(add)
+
+    _add_expression_commands(add)
     _add_schema(add)
     return parser
+
+
+def _add_expression_commands(add: Callable[..., argparse.ArgumentParser]) -> None:
+    """`quasi-eigen` and `convert-weights`."""
+    faces = add("quasi-eigen", _quasi_eigen, "Turn hand-made expressions into a basis that covers a captured performance.")
+    faces.add_argument(
+        "--performance",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="what was captured: sequence.json, npy, PC2, USD, a folder of OBJ or PLY; or markers, C3D, TRC, CSV",
+    )
+    faces.add_argument("--basis", type=Path, required=True, help="hand-made shapes: folder of OBJ or PLY, glTF, USD, npz")
+    faces.add_argument("--out", type=Path, required=True, help="folder to write, expressions.html in it")
+    faces.add_argument("--neutral", type=Path, help="the performer at rest (default: the shapes' own neutral face)")
+    faces.add_argument("--unit", choices=("m", "cm", "mm"), help="of the performance, where its files do not tell")
+    faces.add_argument("--basis-unit", choices=("m", "cm", "mm", "in"), default="m", help="of a folder of shapes (default: m)")
+    faces.add_argument("--rate", type=float, default=30.0, help="frames a second, where files do not tell (default: 30)")
+    faces.add_argument("--landmarks", type=Path, help="vertex numbers of --neutral by landmark name, JSON, for another topology")
+    faces.add_argument("--basis-landmarks", type=Path, help="the same of the shapes' neutral face")
+    faces.add_argument("--components", help="principal axes: shapes (default), coverage, or a number")
+    faces.add_argument("--coverage", type=float, help="share of the variance that --components coverage keeps (default: 0.995)")
+    faces.add_argument(
+        "--weights", choices=tuple(_WEIGHTS), default="free", help="free, not below 0, or from 0 to 1 (default: free)"
+    )
+    faces.add_argument("--smoothing", type=float, help="how dear a change of weights from frame to frame is")
+    faces.add_argument("--sparsity", type=float, help="weight below which a shape is left out")
+    faces.add_argument("--locality", type=float, help="how far each shape is kept to its own region, 0 to 1")
+    faces.add_argument("--no-augment", action="store_true", help="tell of eigenfaces that the shapes leave out, but add none")
+    markers = faces.add_argument_group("markers")
+    markers.add_argument("--on-markers", action="store_true", help="work on the markers themselves, without a mesh between them")
+    markers.add_argument("--rigid", nargs="+", metavar="NAME", help="markers that tell the head's motion (default: found)")
+    markers.add_argument("--leave-out", nargs="+", metavar="NAME", default=[], help="markers that are not to be used")
+    markers.add_argument("--marker-vertices", type=Path, help="vertex numbers by marker name, JSON (default: the nearest)")
+    markers.add_argument("--neutral-frame", type=int, help="frame at rest (default: the first that shows all markers)")
+
+    convert = add("convert-weights", _convert_weights, "Weights of one expression basis as weights of another.")
+    convert.add_argument("weights", type=Path, help="CSV or JSON, one column per shape")
+    convert.add_argument("--from", type=Path, required=True, dest="source", help="the basis that they are of")
+    convert.add_argument("--to", type=Path, required=True, dest="target", help="the basis they are wanted of: one topology")
+    convert.add_argument("--arkit", action="store_true", help="only the target's shapes that ARKit has, by ARKit's names")
+    convert.add_argument("--weights-range", choices=tuple(_WEIGHTS), default="free", help="as of quasi-eigen")
+    convert.add_argument("--out", type=Path, required=True, help="CSV or JSON to write")
+
+
+_WEIGHTS = {"free": None, "positive": (0.0, float("inf")), "unit": (0.0, 1.0)}
 
 
 def _add_schema(add: Callable[..., argparse.ArgumentParser]) -> None:
@@ -369,6 +417,45 @@ def _lip_errors(options: argparse.Namespace) -> int:
     request = TruthRequest(options.results, options.regressor, options.truth, options.template, options.camera_name)
     print("\n".join(judge_lips(request)[1]))
     return 0
+
+
+def _quasi_eigen(options: argparse.Namespace) -> int:
+    from headcap.workflow.quasi_eigen import QuasiEigenRequest, asked_settings, make_quasi_eigen_faces
+
+    settings = asked_settings(
+        components=options.components,
+        coverage=options.coverage,
+        bounds=_WEIGHTS[options.weights],
+        smoothing=options.smoothing,
+        sparsity=options.sparsity,
+        locality=options.locality,
+        augment=False if options.no_augment else None,
+    )
+    request = QuasiEigenRequest(
+        performance=tuple(options.performance),
+        basis=options.basis,
+        neutral=options.neutral,
+        unit=options.unit,
+        basis_unit=options.basis_unit,
+        rate_hz=options.rate,
+        landmarks=options.landmarks,
+        basis_landmarks=options.basis_landmarks,
+        on_markers=options.on_markers,
+        rigid=options.rigid and tuple(options.rigid),
+        leave_out=tuple(options.leave_out),
+        marker_vertices=options.marker_vertices,
+        neutral_frame=options.neutral_frame,
+        settings=settings,
+    )
+    return _print_written(make_quasi_eigen_faces(request, options.out), options.out)
+
+
+def _convert_weights(options: argparse.Namespace) -> int:
+    from headcap.workflow.quasi_eigen import WeightConversionRequest, convert_weight_files
+
+    bounds = _WEIGHTS[options.weights_range]
+    request = WeightConversionRequest(options.weights, options.source, options.target, options.arkit, bounds)
+    return _print_written(convert_weight_files(request, options.out), options.out)
 
 
 def _edit(options: argparse.Namespace) -> int:

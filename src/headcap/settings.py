@@ -20,6 +20,7 @@ from headcap.calibration.board import BoardSettings
 from headcap.calibration.settings import CalibrateLimits, CalibrateSettings
 from headcap.evaluation.catalogue import CATALOGUE
 from headcap.evaluation.settings import EvaluateSettings
+from headcap.expressions.quasi_eigen import QuasiEigenSettings
 from headcap.lips.inpainting.settings import InpaintingSettings
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.training import LipTrainingSettings
@@ -143,6 +144,7 @@ class _Training(_Settings):
     train_neck: NeckTrainingSettings = NeckTrainingSettings()
     track_monocular: MonocularSettings = MonocularSettings()
     train_lips: LipTrainingSettings = LipTrainingSettings()
+    quasi_eigen: QuasiEigenSettings = QuasiEigenSettings()
 
 
 class Session(_Training):
@@ -184,6 +186,11 @@ class Session(_Training):
         "of lips, else of speech, of expressions, a free one, of poses.",
     )
     inpaint_lips: InpaintingSettings = InpaintingSettings()
+    expression_basis: str | None = Field(
+        default=None,
+        description="Hand-made expressions of this person, which become quasi-eigen faces: a folder of OBJ or PLY files, a glTF "
+        "or USD file, or npz; relative to the data root.",
+    )
     evaluate: Evaluate = Evaluate()
     rehearse: RehearsalSettings | None = Field(
         default=None, description="Render the recordings first; what the session does not say is then taken from here."
@@ -255,6 +262,9 @@ class MeshSubject(_Settings):
     template: str = Field(description="The person's neutral head (npz), in the base head's topology.")
     camera: str | None = Field(default=None, description="The camera of the videos (JSON), in the sequences' world.")
     takes: tuple[MeshTake, ...] = Field(min_length=1, description="The takes.")
+    expression_basis: str | None = Field(
+        default=None, description="Hand-made expressions of this person, which become quasi-eigen faces; as a session's."
+    )
     limits: dict[str, float] = Field(default_factory=dict, description="Limits of this person's figures.")
     rehearse_meshes: MeshRehearsalSettings | None = Field(
         default=None, description="Make the takes first; what the entry does not say is then taken from here."
@@ -308,6 +318,8 @@ def session_files(session: Session) -> Iterator[tuple[str, str]]:
     for name, key in ((CALIBRATION, CALIBRATION), *((take.name, f"takes.{take.name}") for take in session.takes)):
         for camera, path in session.recordings(name).items():
             yield f"{key}.files ({camera})", path
+    if session.expression_basis:
+        yield "expression_basis", session.path(session.expression_basis)
     if session.evaluate.truth:
         yield "evaluate.truth", session.path(session.evaluate.truth)
 

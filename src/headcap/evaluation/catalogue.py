@@ -168,7 +168,7 @@ CATALOGUE: dict[str, FigureKind] = {
     "quasi_eigen.qe_over_pca": _stated("", "error of the quasi-eigen faces over that of the eigenfaces they were made of", 1.2),
     "quasi_eigen.qe_chosen_over_pca": _stated("", "the same of as many quasi-eigen faces as there are eigenfaces"),
     "quasi_eigen.hand_over_qe": _stated(
-        "", "error of the hand-made shapes over that of the quasi-eigen faces made of them", at_least=True
+        "", "error of the hand-made shapes over that of the quasi-eigen faces made of them", 4.0, at_least=True
     ),
     "quasi_eigen.displacement_hand_pct": _stated("%", "error of the hand-made basis over the motion away from the neutral face"),
     "quasi_eigen.displacement_pca_pct": _stated("%", "the same of the eigenfaces"),
@@ -178,7 +178,7 @@ CATALOGUE: dict[str, FigureKind] = {
     "quasi_eigen.rms_qe_mm": _stated("mm", "the same of the quasi-eigen faces"),
     "quasi_eigen.elements": _stated("", "number at which bases are compared: eigenfaces, or shapes where these are fewer"),
     "quasi_eigen.median_correlation": _stated(
-        "", "quasi-eigen faces with their own hand-made shapes, cosine, median over shapes exercised", at_least=True
+        "", "quasi-eigen faces with their own hand-made shapes, cosine, median over shapes exercised", 0.8, at_least=True
     ),
     "quasi_eigen.own_closest_share": _stated(
         "", "exercised shapes whose quasi-eigen face is closer to its own hand-made shape than to any other", at_least=True

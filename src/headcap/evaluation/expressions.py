@@ -12,11 +12,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from headcap.evaluation.metrics import Figure, make_figure
 from headcap.evaluation.reproduction import Progress, Reproduction, reproduction, reproductions
-from headcap.expressions import Eigenfaces, Performance, QuasiEigenFaces
+from headcap.evaluation.settings import EvaluateSettings
+from headcap.expressions import Performance, QuasiEigenFaces
 
 __all__ = ["EXERCISED", "ExpressionFigures", "Mistaken", "Reproduction", "compare_bases", "reproduction"]
 
+KIND, SCHEMA = "expression_errors", 1
 EXERCISED = 1 / 3
 """A shape that keeps less of its norm on the principal axes than this is not exercised by the performance."""
 _DEPENDENT = 1e-4
@@ -176,7 +179,7 @@ def compare_bases(
     """
     elements = min(len(faces.hand), len(faces.eigen))
     hand, pca, quasi = reproductions(
-        performance, [faces.hand, first_axes(faces.eigen, elements), faces.quasi], [bounds, None, bounds], progress
+        performance, [faces.hand, faces.eigen.first(elements), faces.quasi], [bounds, None, bounds], progress
     )
     shapes, axes = faces.hand.rows.astype(np.float64), faces.hyperplane.rows.astype(np.float64)
     mean = faces.hyperplane.mean.ravel().astype(np.float64)
@@ -196,9 +199,9 @@ def compare_bases(
     )
 
 
-def first_axes(eigen: Eigenfaces, count: int) -> Eigenfaces:
-    """The leading axes alone."""
-    return Eigenfaces(eigen.mean, eigen.vectors[:count], eigen.variances[:count], eigen.total_variance)
+def expression_metrics(compared: ExpressionFigures, session: str, settings: EvaluateSettings) -> list[Figure]:
+    """The figures of one person, held to the limits in force."""
+    return [make_figure(name, value, session=session, take=None, settings=settings) for name, value in compared.figures().items()]
 
 
 def _kept(shapes: NDArray, axes: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -101,6 +101,10 @@ class Eigenfaces:
         rows, mean = self.rows.astype(np.float64), self.mean.ravel().astype(np.float64)
         return (mean - (rows @ mean) @ rows).astype(np.float32).reshape(self.mean.shape)
 
+    def first(self, count: int) -> Eigenfaces:
+        """The first axes alone."""
+        return Eigenfaces(self.mean, self.vectors[:count], self.variances[:count], self.total_variance)
+
     def through_neutral(self) -> Eigenfaces:
         """The axes and one more, the direction of `offset`, so that the hyperplane runs through the neutral face.
 

@@ -101,9 +101,9 @@ def missing_axes(weights: NDArray, eigen: Eigenfaces, share: float) -> tuple[int
 
 def missing_report(faces: QuasiEigenFaces) -> tuple[MissingAxis, ...]:
     """Each missing axis with the hand-made shape nearest to it, for the animator to mend."""
-    along = faces.hand.rows @ faces.eigen.rows.T
+    along = faces.hand.rows @ faces.hyperplane.rows.T
     cosine = along / np.maximum(np.linalg.norm(faces.hand.rows, axis=1), np.finfo(np.float32).tiny)[:, None]
-    exercise = _exercise(faces.coordinates, faces.eigen)
+    exercise = _exercise(faces.coordinates, faces.hyperplane)
     out = []
     for axis in faces.missing:
         nearest = int(np.abs(cosine[:, axis]).argmax())
@@ -111,10 +111,10 @@ def missing_report(faces: QuasiEigenFaces) -> tuple[MissingAxis, ...]:
             MissingAxis(
                 axis=axis,
                 name=eigenface_name(axis),
-                share=float(exercise[axis] / np.sqrt(faces.eigen.variances[axis])),
+                share=float(exercise[axis] / np.sqrt(faces.hyperplane.variances[axis])),
                 nearest=faces.hand.names[nearest],
                 correlation=float(cosine[nearest, axis]),
-                variance_share=float(faces.eigen.variances[axis] / faces.eigen.total_variance),
+                variance_share=float(faces.hyperplane.variances[axis] / faces.hyperplane.total_variance),
             )
         )
     return tuple(out)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from headcap.errors import InputError, InputErrors
-from headcap.expressions.basis import ExpressionBasis, QuasiEigenFaces
+from headcap.expressions.basis import Eigenfaces, ExpressionBasis, QuasiEigenFaces
 from headcap.expressions.performance import Performance
 from headcap.expressions.principal import eigenfaces
 from headcap.expressions.projection import quasi_eigen_faces
@@ -30,10 +32,19 @@ class QuasiEigenSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    coverage: float = Field(
-        0.995, gt=0, le=1, description="Share of the performance's variance that its eigenfaces cover (paper)"
+    components: Literal["shapes", "coverage"] | Annotated[int, Field(ge=1)] = Field(
+        "shapes",
+        description="Principal axes that shapes are projected onto: one fewer than shapes, so that with the direction to the "
+        "neutral face they span exactly what k shapes can; as many as `coverage` asks for; or a number",
     )
-    components: int | None = Field(None, ge=1, description="How many eigenfaces instead, whatever they cover")
+    coverage: float = Field(
+        0.995, gt=0, le=1, description="Share of the performance's variance that its eigenfaces cover (paper), where asked for"
+    )
+    through_neutral: bool = Field(
+        True,
+        description="Whether the hyperplane also holds the direction from the neutral face to it. Without, eq. 4 adds that "
+        "offset to every shape, and errors were 1.9 to 13 times the eigenfaces' on four people, with it 1.05 to 1.13",
+    )
     missing_share: float = Field(
         0.05,
         ge=0,
@@ -91,16 +102,29 @@ def convert_basis(
     settings, tell = settings or QuasiEigenSettings(), progress or _silent
     require_fit(performance, hand, settings.neutral_mm)
     tell("principal axes", 0.0)
-    eigen = eigenfaces(performance, coverage=settings.coverage, count=settings.components, seed=settings.seed)
+    eigen, hyperplane = _axes(performance, len(hand), settings)
     tell("neutral face", 0.85)
     if settings.rest_ratio is not None:
         offset_of_rest(performance).require(settings.rest_ratio)
     tell("projection", 0.95)
     faces = quasi_eigen_faces(
-        hand, eigen, missing_share=settings.missing_share, augment=settings.augment, locality=settings.locality
+        hand, hyperplane, missing_share=settings.missing_share, augment=settings.augment, locality=settings.locality
     )
     tell("done", 1.0)
-    return faces
+    return replace(faces, eigen=eigen, hyperplane=hyperplane)
+
+
+def _axes(performance: Performance, shapes: int, settings: QuasiEigenSettings) -> tuple[Eigenfaces, Eigenfaces]:
+    """E^PCA with as many axes as there are shapes, or more where they were asked for, and what shapes are projected onto."""
+    least = min(shapes, len(performance) - 1)
+    if settings.components == "coverage":
+        hyperplane = eigenfaces(performance, coverage=settings.coverage, seed=settings.seed)
+        eigen = hyperplane if len(hyperplane) >= least else eigenfaces(performance, count=least, seed=settings.seed)
+    else:
+        count = max(shapes - 1, 1) if settings.components == "shapes" else settings.components
+        eigen = eigenfaces(performance, count=max(count, least), seed=settings.seed)
+        hyperplane = eigen.first(count)
+    return eigen, hyperplane.through_neutral() if settings.through_neutral else hyperplane
 
 
 def require_fit(performance: Performance, hand: ExpressionBasis, neutral_mm: float | None = 1.0) -> None:

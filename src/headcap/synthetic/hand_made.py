@@ -17,10 +17,14 @@ HAND_MADE = "expressions.npz"
 """What they are called among what is rehearsed."""
 _NAMES = {
     "jaw": "jaw_open",
+    "jaw_side": "jaw_left",
     "rounding": "lips_rounded",
     "spreading": "lips_spread",
     "closure": "lips_pressed",
     "tuck": "lip_tucked",
+    "upper_roll": "upper_lip_rolled_in",
+    "lower_roll": "lower_lip_rolled_in",
+    "mouth_side": "mouth_left",
 }
 _LEAST_M = 0.2e-3
 """What moves no vertex so far has no shape: eyelids, which meshes without eyeballs do not close."""

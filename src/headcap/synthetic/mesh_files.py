@@ -17,6 +17,7 @@ from headcap.cameras import Rig
 from headcap.heads.procedural import base_head
 from headcap.recordings.writer import write_video
 from headcap.registration.sequence import MeshSequence, save_chunk
+from headcap.synthetic.hand_made import write_hand_made
 from headcap.synthetic.lighting import Lights
 from headcap.synthetic.mesh_pictures import look_of
 from headcap.synthetic.mesh_takes import MeshSubject, MeshTake, mesh_subject
@@ -43,6 +44,8 @@ def rehearse_meshes(settings: MeshRehearsalSettings, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     subject = mesh_subject(settings.seed, settings.subject)
     base_head().with_vertices(subject.neutral_m).save(folder / "template.npz")
+    if settings.sculpt is not None:
+        write_hand_made(folder, subject, settings.sculpt)
     if settings.video is not None:
         camera = build_camera(settings.video.camera, _encoding(settings))
         save_cameras(folder / "camera.json", Rig((camera,)))

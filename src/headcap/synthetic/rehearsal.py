@@ -20,7 +20,9 @@ from headcap.synthetic import truth
 from headcap.synthetic.board import BoardMotion, BoardPainter, wave_board
 from headcap.synthetic.crew import Piece, carry_out
 from headcap.synthetic.growth import grow_subject
+from headcap.synthetic.hand_made import write_hand_made
 from headcap.synthetic.lighting import Lights
+from headcap.synthetic.mesh_takes import mesh_subject
 from headcap.synthetic.performance import Performance, perform
 from headcap.synthetic.rig import MOTION_STREAM, Clock, build_clocks, build_rig, random_stream
 from headcap.synthetic.scan import write_scan
@@ -100,6 +102,8 @@ def rehearse(settings: RehearsalSettings, folder: Path | str, *, progress: Progr
     for done, name in enumerate(finished, 1):
         if progress is not None:
             progress(done, len(pieces), name)
+    if settings.sculpt is not None:
+        write_hand_made(folder, mesh_subject(settings.seed, settings.subject), settings.sculpt)
     write_description(settings, folder)
     return rehearsal
 

@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from headcap.synthetic.sculptor import SculptorSettings
+
 Vector = tuple[float, float, float]
 TakeKind = Literal["pose", "expression", "speech", "lips", "free", "turn"]
 LipShape = Literal[
@@ -208,6 +210,9 @@ class MeshRehearsalSettings(_Settings):
     takes: tuple[TakeSettings, ...] = Field(min_length=1, description="The takes.")
     subject: SubjectSettings = SubjectSettings()
     video: MeshVideoSettings | None = Field(default=None, description="Also film each take with one camera.")
+    sculpt: SculptorSettings | None = Field(
+        default=None, description="Also sculpt hand-made expressions of this person: `expressions.npz`, with these mistakes."
+    )
 
     @model_validator(mode="after")
     def _names_differ(self) -> MeshRehearsalSettings:
@@ -234,6 +239,9 @@ class RehearsalSettings(_Settings):
     takes: tuple[TakeSettings, ...] = Field(default=DEFAULT_TAKES, min_length=1, description="The takes.")
     subject: SubjectSettings = SubjectSettings()
     scan: ScanSettings = ScanSettings()
+    sculpt: SculptorSettings | None = Field(
+        default=None, description="Also sculpt hand-made expressions of this person: `expressions.npz`, with these mistakes."
+    )
 
     @model_validator(mode="after")
     def _names_differ(self) -> RehearsalSettings:

@@ -16,6 +16,7 @@ from headcap.errors import InputError, InputErrors
 from headcap.lips.training import RegressorPlan, planned_regressors
 from headcap.neck.voice.training import Voice
 from headcap.settings import MeshSubject, Session, Study, disagreements, known_figures, session_files
+from headcap.synthetic.hand_made import HAND_MADE
 from headcap.synthetic.settings import MeshRehearsalSettings, RehearsalSettings, TakeSettings
 from headcap.workflow.validation import KeyedInputError, validate
 
@@ -25,8 +26,10 @@ NECK_KINDS = ("pose", "expression", "speech")
 """Kinds of takes that a neck model learns from and is judged by."""
 LIP_KINDS = ("lips", "speech", "expression", "free")
 """Kinds of takes that a lip regressor learns from, where somebody performs lips at all."""
-_TRAINING = ("train_expressions", "train_neck", "train_speech", "track_monocular", "train_lips")
+_TRAINING = ("train_expressions", "train_neck", "train_speech", "track_monocular", "train_lips", "quasi_eigen")
 _TAKE_FILES = ("sequence", "sound", "larynx", "video")
+EXPRESSION_KINDS = ("expression", "lips", "speech", "free")
+"""Kinds of takes that tell what a face does, for a basis of expressions to cover."""
 SPOKEN_KINDS = ("speech", "free")
 """Kinds of rehearsed takes in which something is said."""
 
@@ -131,6 +134,18 @@ class Plan:
         names = self.filmed(person)
         kept = self.study.train_lips.test_takes
         return names if person in self.study.held_out else tuple(name for name in names if name in kept)
+
+    @property
+    def expression_people(self) -> tuple[str, ...]:
+        """People with hand-made expressions and takes to make quasi-eigen faces by."""
+        return tuple(name for name in self.people if self.expression_basis(name) and self.takes(name, *EXPRESSION_KINDS))
+
+    def expression_basis(self, person: str) -> str | None:
+        """Where a person's hand-made expressions lie."""
+        if person in self.meshes:
+            return self.meshes[person].expression_basis
+        session = self.sessions[person]
+        return session.expression_basis and session.path(session.expression_basis)
 
     def limits(self, person: str) -> dict[str, float]:
         """Limits of a person's figures."""
@@ -238,6 +253,11 @@ def _missing_study_files(study: Study) -> list[InputError]:
         for person, takes in study.train_lips.labels.items()
         for take, path in takes.items()
     ]
+    drawn += [
+        (f"{subject.subject}.expression_basis", subject.expression_basis)
+        for subject in study.mesh_subjects
+        if subject.rehearse_meshes is None and subject.expression_basis
+    ]
     missing = [(key, path) for key, path in given if path and not Path(path).is_file()]
     return [
         InputError(f"{key}: {path} is not there", expected="a file", remedy="Correct the path.")
@@ -283,7 +303,8 @@ def rehearsed_meshes(rehearsal: MeshRehearsalSettings, name: str) -> dict[str, A
         for take in rehearsal.takes
     ]
     camera = f"{folder}/camera.json" if rehearsal.video else None
-    return {"template": f"{folder}/template.npz", "camera": camera, "takes": takes}
+    basis = f"{folder}/{HAND_MADE}" if rehearsal.sculpt else None
+    return {"template": f"{folder}/template.npz", "camera": camera, "takes": takes, "expression_basis": basis}
 
 
 def load_rehearsal(document: dict[str, Any]) -> RehearsalSettings:
@@ -406,6 +427,7 @@ def rehearsed_session(rehearsal: RehearsalSettings, name: str) -> dict[str, Any]
         "scan": {"file": "scan/neutral.ply", "unit": unit},
         # the rig's origin is where the optical axes meet, which is about where they were aimed
         "clapper_m": [round(c - t, 3) for c, t in zip(rehearsal.sound.clap_position_m, target, strict=True)],
+        "expression_basis": HAND_MADE if rehearsal.sculpt else None,
         "evaluate": {"truth": "truth"},
     }
 

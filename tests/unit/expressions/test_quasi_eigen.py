@@ -82,13 +82,32 @@ def test_the_converted_basis_reproduces_and_still_looks_alike(true, hand, displa
 
 def test_settings_reach_what_they_set(true, hand, displacements):
     performance = performance_of(displacements, true.neutral)
-    assert len(convert_basis(performance, hand, QuasiEigenSettings(components=3)).eigen) == 3
-    few, many = (convert_basis(performance, hand, QuasiEigenSettings(coverage=share)).eigen for share in (0.5, 0.999))
+    asked = convert_basis(performance, hand, QuasiEigenSettings(components=3, through_neutral=False))
+    assert (len(asked.hyperplane), len(asked.eigen)) == (3, len(hand))
+    few, many = (
+        convert_basis(performance, hand, QuasiEigenSettings(components="coverage", coverage=share)).hyperplane
+        for share in (0.5, 0.999)
+    )
     assert few.coverage[-1] >= 0.5
     assert len(few) < len(many)
     solver = QuasiEigenSettings(bounds=(0.0, 0.5), smoothing=0.1).solver(true)
     found = solver.solve(displacements)
     assert (found.min(), found.max()) == (0.0, 0.5)
+
+
+def test_shapes_span_a_hyperplane_through_the_neutral_face(true, hand, displacements):
+    """k shapes projected on k - 1 axes and the direction to the neutral face reach all that these axes do."""
+    performance = performance_of(displacements, true.neutral)
+    made = convert_basis(performance, hand)
+    assert len(made.hyperplane) == len(made.eigen) == len(hand)
+    rows = made.quasi.rows.astype(np.float64)
+    seen = made.hyperplane.rows @ (displacements.reshape(len(displacements), -1)).T
+    left = displacements.reshape(len(displacements), -1) - seen.T @ made.hyperplane.rows
+    least = np.linalg.norm(left) / np.linalg.norm(displacements)
+    reached = np.linalg.lstsq(rows.T, displacements.reshape(len(displacements), -1).T, rcond=None)[0]
+    away = np.linalg.norm(displacements.reshape(len(displacements), -1) - reached.T @ rows) / np.linalg.norm(displacements)
+    # single precision of the shapes, enlarged by how nearly they depend on each other
+    assert least - 1e-6 <= away <= least + 1e-4
 
 
 def test_an_axis_that_nobody_sculpted_joins_unless_it_is_not_to(true, hand, displacements):

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from headcap.synthetic.mesh_takes import mesh_subject
 from headcap.expressions import ExpressionBasis
 from headcap.synthetic.hand_made import HAND_MADE, muscle_shapes, write_hand_made
+from headcap.synthetic.mesh_takes import mesh_subject
 from headcap.synthetic.sculptor import SculptorSettings
 from headcap.synthetic.subject import AT_REST
 

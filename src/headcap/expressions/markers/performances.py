@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.errors import InputError
+from headcap.expressions.basis import ExpressionBasis
 from headcap.expressions.head_motion import moved_frames
 from headcap.expressions.markers.gaps import fill_gaps
 from headcap.expressions.markers.head import head_motion, rigid_markers
@@ -104,6 +105,25 @@ def mesh_performance(
         figures=still.figures
         | {"tie_distance_mm": float(ties.distance_mm.mean()), "farthest_tie_mm": float(ties.distance_mm.max())},
     )
+
+
+def basis_at_markers(
+    basis: ExpressionBasis,
+    performance: Performance,
+    *,
+    given: Mapping[str, int] | Path | None = None,
+    settings: MarkerSettings | None = None,
+) -> ExpressionBasis:
+    """The shapes of a mesh where a performance's markers sit, in the markers' frame (footnote 3).
+
+    Markers are tied to the shapes' neutral face as `tying.tie_markers` does, and raises.
+    """
+    ties = tie_markers(
+        performance.points, performance.neutral, basis.neutral, basis.triangles, settings or MarkerSettings(), given=given
+    )
+    head_from_mesh = ties.mesh_from_head[:3, :3].T
+    moved = np.stack([ties.marker_from_vertex @ shape @ head_from_mesh.T for shape in basis.displacements])
+    return ExpressionBasis(basis.names, performance.neutral, moved, np.zeros((0, 3), np.int32))
 
 
 def still_markers(
