@@ -16,6 +16,7 @@ from headcap.evaluation.metrics import Figure, make_figure
 from headcap.evaluation.reproduction import Progress, Reproduction, reproduction, reproductions
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.expressions import Performance, QuasiEigenFaces
+from headcap.expressions.weights import Bounds
 
 __all__ = ["EXERCISED", "ExpressionFigures", "Mistaken", "Reproduction", "compare_bases", "reproduction"]
 
@@ -169,7 +170,7 @@ def compare_bases(
     performance: Performance,
     faces: QuasiEigenFaces,
     *,
-    bounds: tuple[float | None, float | None] | None = None,
+    bounds: Bounds = None,
     progress: Progress | None = None,
 ) -> ExpressionFigures:
     """Judge E^H, E^PCA and E^QE on a performance, which may be another than they were made from (section 5.5).

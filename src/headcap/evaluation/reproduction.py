@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from headcap.errors import InputError
 from headcap.expressions import Eigenfaces, ExpressionBasis, Performance
+from headcap.expressions.weights import Bounds, ExpressionSolver
 
 SPAN_TOLERANCE = 1e-5
 """Directions in which a basis is thinner than this, of its widest, are rounding of its float32 shapes and not counted."""
@@ -47,13 +48,11 @@ class Reproduction:
     """(j,) eigenfaces as they come; of shapes always the one that takes most of the error left (greedy, free weights)."""
 
 
-def reproduction(
-    performance: Performance, basis: ExpressionBasis | Eigenfaces, *, bounds: tuple[float | None, float | None] | None = None
-) -> Reproduction:
+def reproduction(performance: Performance, basis: ExpressionBasis | Eigenfaces, *, bounds: Bounds = None) -> Reproduction:
     """Reproduce all frames with a basis, least squares per frame, and judge it (eq. 5, 6).
 
-    Eigenfaces come with their mean, as eq. 2 has them. `bounds` are a least and a largest weight, None for neither; eigenfaces
-    are always free. Raises `InputError` for another number of points or a performance without frames.
+    Eigenfaces come with their mean, as eq. 2 has them. `bounds` are a least and a largest weight, None for free ones;
+    eigenfaces are always free. Raises `InputError` for another number of points or a performance without frames.
     """
     return reproductions(performance, [basis], [bounds])[0]
 
@@ -61,7 +60,7 @@ def reproduction(
 def reproductions(
     performance: Performance,
     bases: Sequence[ExpressionBasis | Eigenfaces],
-    bounds: Sequence[tuple[float | None, float | None] | None],
+    bounds: Sequence[Bounds],
     progress: Progress | None = None,
 ) -> list[Reproduction]:
     """`reproduction` of several bases in one passage over the frames."""
@@ -187,9 +186,7 @@ class _FreeJudge:
 class _BoundedJudge:
     """Weights within bounds, by the solver that animators' weights come from."""
 
-    def __init__(self, performance: Performance, basis: ExpressionBasis, bounds: tuple[float | None, float | None]) -> None:
-        from headcap.expressions.weights import ExpressionSolver
-
+    def __init__(self, performance: Performance, basis: ExpressionBasis, bounds: tuple[float, float]) -> None:
         self.sums, self.rows = _Sums(performance), basis.rows.astype(np.float64)
         self.solver = ExpressionSolver(basis, bounds=bounds)
 
@@ -201,9 +198,7 @@ class _BoundedJudge:
         return self.sums.result(len(orthonormal_rows(self.rows)), ((), np.zeros(0)))
 
 
-def _judge(
-    performance: Performance, basis: ExpressionBasis | Eigenfaces, bounds: tuple[float | None, float | None] | None
-) -> _FreeJudge | _BoundedJudge:
+def _judge(performance: Performance, basis: ExpressionBasis | Eigenfaces, bounds: Bounds) -> _FreeJudge | _BoundedJudge:
     points = basis.rows.shape[1] // 3
     if points != len(performance.neutral):
         raise InputError(

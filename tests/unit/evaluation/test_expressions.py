@@ -137,6 +137,18 @@ def test_a_performance_inside_the_span_is_reproduced(rng, neutral):
     assert set(judged.region_rms_mm) == {"left", "right"}
 
 
+def test_bounded_weights_reproduce_what_needs_no_others_and_never_more(rng, neutral):
+    shapes = 0.01 * rng.normal(size=(4, POINTS, 3))
+    basis, weights = basis_of(shapes, neutral), rng.uniform(0.1, 0.9, size=(FRAMES, 4))
+    inside = performance_of(np.einsum("lk,knc->lnc", weights, shapes), neutral)
+    # float32 of displacements of centimetres
+    assert reproduction(inside, basis, bounds=(0.0, 1.0)).displacement_pct < 1e-3
+    beyond = performance_of(np.einsum("lk,knc->lnc", 2 * weights - 1, shapes), neutral)
+    free, positive, box = (reproduction(beyond, basis, bounds=bounds) for bounds in (None, (0.0, np.inf), (0.0, 0.2)))
+    assert free.alpha_pct < 1e-4 < positive.alpha_pct < box.alpha_pct
+    assert len(box.alpha_by_size_pct) == 0
+
+
 def test_shapes_are_chosen_greedily(rng):
     shapes, data = rng.normal(size=(5, 6)), rng.normal(size=(30, 6)) * 2.0 ** np.arange(6)
     order, taken = greedy_order(shapes, data.T @ data)
