@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scipy.sparse.csgraph import dijkstra
 
 from headcap.errors import InputError
-from headcap.expressions.head_motion import find_still, fit_rigid_frames, moved_frames
+from headcap.expressions.head_motion import displaced_frames, find_still, fit_rigid_frames, moved_frames
 from headcap.expressions.mesh_frames import MeshFrames
 from headcap.expressions.neutral_face import NeutralFace, Unit, check_size, metres_per, neutral_face
 from headcap.expressions.performance import BLOCK, Performance
@@ -84,6 +84,7 @@ def read_performance(
     face = neutral_face(frames, scale, neutral, triangles, unit)
     held = _mask(still, face) if still is not None else None
     weights = face_weights(face, region, settings.fade_mm)
+    weights = np.ones(len(face.vertices), np.float32) if weights is None else weights
     motion, found = _head_motion(frames, scale, face, held, settings)
     blocks = _Blocks(frames, scale, motion, face.vertices, weights)
     found |= _compare_with_neutral(blocks, face, frames.source, settings)
@@ -180,27 +181,22 @@ def _refuse_broken(frames: MeshFrames, broken: NDArray) -> None:
 class _Blocks:
     """Displacements (f, n, 3) block by block, read anew at each call."""
 
-    def __init__(
-        self, frames: MeshFrames, scale: float, motion: NDArray, neutral: NDArray, weights: NDArray[np.float32] | None
-    ) -> None:
+    def __init__(self, frames: MeshFrames, scale: float, motion: NDArray, neutral: NDArray, weights: NDArray[np.float32]) -> None:
         self._frames, self._scale, self._motion, self._neutral, self.weights = frames, scale, motion, neutral, weights
 
     def __call__(self) -> Iterator[NDArray[np.float32]]:
         for first in range(0, len(self._frames), BLOCK):
-            block = np.asarray(self._frames.positions[first : first + BLOCK], np.float64) * self._scale
-            moved = moved_frames(self._motion[first : first + BLOCK], block)
-            moved -= self._neutral
-            if self.weights is not None:
-                moved *= self.weights[:, None]
-            yield moved.astype(np.float32)
+            block = self._frames.positions[first : first + BLOCK]
+            yield displaced_frames(block, self._scale, self._motion[first : first + BLOCK], self._neutral, self.weights)
 
 
 def _compare_with_neutral(blocks: _Blocks, face: NeutralFace, source: str, settings: PerformanceSettings) -> dict[str, float]:
     """How near the performance comes to its neutral; refuses a neutral that no frame comes near, saying where it is off."""
-    counted = float(len(face.vertices) if blocks.weights is None else blocks.weights.sum())
+    counted = float(blocks.weights.sum())
     per_frame, total = [], np.zeros(face.vertices.shape)
     for block in blocks():
-        per_frame.append(np.sqrt((block.astype(float) ** 2).sum(axis=(1, 2)) / counted))
+        rows = block.reshape(len(block), -1)
+        per_frame.append(np.sqrt(np.einsum("fx,fx->f", rows, rows) / counted))
         total += block.sum(axis=0, dtype=np.float64)
     rms_mm = 1e3 * np.concatenate(per_frame)
     nearest = int(rms_mm.argmin())

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from headcap.errors import InputError
 from headcap.export import write_pc2
@@ -262,3 +263,24 @@ def test_batched_rigid_fits_are_those_one_by_one_and_blind_to_gaps(rng):
     mirrored = np.tile(target * [1, 1, -1], (2, 1, 1))
     assert np.linalg.det(fit_rigid_frames(mirrored, target)[:, :3, :3]) == pytest.approx([1, 1])
     assert moved_frames(fit_rigid_frames(points[:1, seen], target[seen]), points[:1, seen]).shape == (1, 8, 3)
+
+
+@pytest.mark.real
+def test_the_head_motion_of_a_real_take_is_found_without_regions(test_data, tmp_path):
+    truth, topology = np.load(test_data / "ict_rig/truth/expression_01.npz"), np.load(test_data / "ict_rig/truth/topology.npz")
+    chosen = np.arange(0, len(truth["time_s"]), 4)
+    # half the vertices are enough: the skin comes first
+    triangles = topology["faces"][(topology["faces"] < 26000).all(axis=1)]
+    first = truth["first_m"][:26000]
+    meshes = first + truth["vertices_mm_i16"][chosen, :26000] * np.float32(4e-6)
+    np.save(tmp_path / "take.npy", meshes)
+    performance = read_performance(tmp_path / "take.npy", triangles=triangles)
+    found = all_frames(performance)
+    turned = Rotation.from_rotvec(truth["head_rotvec"][chosen])
+    # nothing fades without regions, so what was done to each frame is the rigid motion itself
+    undone = np.array([fit_rigid(mesh, first + moved) for mesh, moved in zip(meshes, found + meshes[0] - first, strict=True)])
+    error_deg = np.degrees((Rotation.from_matrix(undone[:, :3, :3]) * turned * turned[0].inv()).magnitude())
+    assert np.degrees((turned * turned[0].inv()).magnitude()).max() > 1
+    # at 0.1 m a tenth of a degree is 0.2 mm of skin
+    assert np.sqrt((error_deg**2).mean()) < 0.1
+    assert performance.figures["still_residual_mm"] < 0.3

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
+from scipy.spatial.distance import cdist
 
 from headcap.errors import InputError
 from headcap.expressions.markers.settings import MarkerSettings
@@ -29,8 +30,11 @@ def fill_gaps(take: MarkerTake, settings: MarkerSettings) -> tuple[NDArray[np.fl
     gaps = [(marker, run) for marker in range(len(take.names)) for run in _runs(~seen[:, marker])]
     _refuse_long(take, gaps, settings)
     filled = take.positions_m.copy()
+    if gaps:
+        at_rest = np.nanmedian(take.positions_m, axis=0)
+        apart = cdist(at_rest, at_rest)
     for marker, run in gaps:
-        filled[run, marker] = _fill(take, seen, marker, run, settings)
+        filled[run, marker] = _fill(take, seen, apart[marker], marker, run, settings)
     return filled, int((~seen).sum())
 
 
@@ -58,9 +62,11 @@ def _refuse_long(take: MarkerTake, gaps: list[tuple[int, NDArray]], settings: Ma
     )
 
 
-def _fill(take: MarkerTake, seen: NDArray, marker: int, run: NDArray, settings: MarkerSettings) -> NDArray[np.float64]:
+def _fill(
+    take: MarkerTake, seen: NDArray, apart: NDArray, marker: int, run: NDArray, settings: MarkerSettings
+) -> NDArray[np.float64]:
     positions, times = take.positions_m, take.time_s
-    helpers, teach = _teachers(positions, seen, marker, run, settings.neighbours)
+    helpers, teach = _teachers(apart, seen, marker, run, settings.neighbours)
     if not len(helpers):
         return _across(times[teach], positions[teach, marker], times[run])
     inputs = positions[:, helpers].reshape(len(positions), -1)
@@ -70,15 +76,13 @@ def _fill(take: MarkerTake, seen: NDArray, marker: int, run: NDArray, settings: 
 
 
 def _teachers(
-    positions: NDArray, seen: NDArray, marker: int, run: NDArray, count: int
+    apart: NDArray, seen: NDArray, marker: int, run: NDArray, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Markers (h,) to foretell from, the nearest at rest that all the gap's frames show; frames (f,) that show all of them.
 
     As many of `count` as those frames can teach, perhaps none.
     """
-    away = np.nanmedian(np.linalg.norm(positions - positions[:, marker : marker + 1], axis=2), axis=0)
-    away[~seen[run].all(axis=0)] = np.inf
-    away[marker] = np.inf
+    away = np.where(seen[run].all(axis=0), apart, np.inf)
     helpers = np.argsort(away)[:count]
     helpers = helpers[np.isfinite(away[helpers])]
     while True:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 
 from headcap.errors import InputError
 from headcap.expressions.markers import MarkerSettings
@@ -13,6 +14,7 @@ from headcap.expressions.markers.tying import tie_markers
 from headcap.geometry.transforms import from_vector, transform
 from headcap.heads.procedural import lip_pairs
 from headcap.meshes.closest_point import Surface
+from headcap.registration.graph import edge_graph
 
 SETTINGS = MarkerSettings()
 
@@ -26,9 +28,8 @@ def matrix(person):
     return interpolation_matrix(person.head.vertices, person.head.triangles, at_vertices(person.face, len(person.head.vertices)))
 
 
-def euclidean_matrix(person):
-    """The peer: -r of plain distance with a constant, the kernel of space."""
-    vertices, places = person.head.vertices, person.head.vertices[person.face]
+def plain_distance(vertices, places):
+    """The peer (n, k): -r of plain distance with a constant, the kernel of space."""
 
     def kernel(points):
         return -np.linalg.norm(points[:, None] - places[None], axis=2)
@@ -36,6 +37,10 @@ def euclidean_matrix(person):
     k = len(places)
     system = np.block([[kernel(places), np.ones((k, 1))], [np.ones((1, k)), np.zeros((1, 1))]])
     return np.linalg.solve(system, np.column_stack([kernel(vertices), np.ones(len(vertices))]).T).T[:, :k]
+
+
+def euclidean_matrix(person):
+    return plain_distance(person.head.vertices, person.head.vertices[person.face])
 
 
 def rms_mm(matrix, person, mask):
@@ -159,3 +164,38 @@ def test_a_placement_that_is_not_told_is_refused(small_take):
     ring = vertices[(vertices[:, 1] > 0.0) & (vertices[:, 1] < 0.03)]
     with pytest.raises(InputError, match="markers fit the mesh in"):
         tie_markers(tuple(f"m{k}" for k in range(len(ring))), ring, vertices, triangles, SETTINGS)
+
+
+@pytest.mark.real
+def test_a_real_sculpted_face_is_interpolated_better_than_by_plain_distance(test_data):
+    file, clip = np.load(test_data / "ict_head/ict_head.npz"), np.load(test_data / "ict_rig/truth/expression_01.npz")
+    skin = int(file["head_neck_vertices"][1])
+    faces = file["faces"][(file["faces"] < skin).all(axis=1)]
+    quads = faces[faces[:, 3] >= 0]
+    triangles = np.concatenate([faces[:, :3], quads[:, [0, 2, 3]]]).astype(np.int32)
+    vertices = file["vertices_m"][:skin].astype(float)
+    displacements = np.einsum("fk,knc->fnc", clip["blend_weights"][::4], file["expressions_m"][:, :skin])
+    landmarks = file["landmarks68"].astype(int)
+    graph = edge_graph(vertices, triangles)
+    outline, inner = (
+        dijkstra(graph, indices=landmarks[48:60], min_only=True),
+        dijkstra(graph, indices=landmarks[60:], min_only=True),
+    )
+    density = 1 + 1.5 * np.exp(-((outline / 0.02) ** 2))
+    face = (np.arange(skin) < file["face_vertices"][1]) & (np.abs(displacements).max(axis=(0, 2)) > 5e-4)
+    markers = list(landmarks[[30, 48, 54, 51, 57, 8, 27]])
+    nearest = dijkstra(graph, indices=markers, min_only=True)
+    while len(markers) < 66:
+        markers.append(int(np.argmax(np.where(face & (inner > 0.005) & (vertices[:, 2] > 0), nearest * density, -1))))
+        nearest = np.minimum(nearest, dijkstra(graph, indices=markers[-1]))
+    lips = np.minimum(outline, inner) < 0.008
+    ours = interpolation_matrix(vertices, triangles, at_vertices(np.array(markers), skin))
+    errors = {}
+    for name, matrix in (("ours", ours), ("plain", plain_distance(vertices, vertices[markers]))):
+        found = np.einsum("nk,fkc->fnc", matrix, displacements[:, markers])
+        squared = ((found - displacements) ** 2).sum(axis=2)
+        errors[name] = np.sqrt(squared[:, face].mean()), np.sqrt(squared[:, lips].mean())
+    moved = np.sqrt((displacements[:, lips] ** 2).sum(axis=2).mean())
+    assert errors["ours"][0] < 0.75 * errors["plain"][0]
+    assert errors["ours"][1] < 0.6 * errors["plain"][1]
+    assert errors["ours"][1] < 0.25 * moved
