@@ -1,8 +1,9 @@
 """Hand-made shapes, eigenfaces and quasi-eigen faces against one performance (quasi-eigen paper, section 5.5).
 
 Bases are compared at the same number of elements, `elements`: as many as there are principal axes, or shapes where these are
-fewer. k quasi-eigen faces of m < k axes span m + 1 directions at most, those of the m axes and their mean, so all k of them are
-also given, which is what an animator gets, beside the `elements` of them that reproduce most.
+fewer. k quasi-eigen faces on m < k axes span m + 1 directions at most, those of the axes and of the mean, which eigenfaces have
+for nothing: all k of them, as an animator gets them, are the fair match of m eigenfaces (`qe_over_pca`), the best m of them
+lack a direction (`qe_chosen_over_pca`). The paper has n = m, where these are the same.
 """
 
 from __future__ import annotations
@@ -101,7 +102,11 @@ class ExpressionFigures:
 
     @property
     def mistaken(self) -> tuple[Mistaken, ...]:
-        """Exercised shapes whose quasi-eigen face is closer to another hand-made shape than to its own."""
+        """Exercised shapes whose quasi-eigen face is closer to another hand-made shape than to its own.
+
+        Of two causes: not this shape was performed but one like it (`not_told_apart`), or the two only ever together, as a left
+        and a right one, whose faces are then one and the same and closer to either by chance.
+        """
         closest = self.correlation.argmax(axis=1)
         return tuple(
             Mistaken(
@@ -175,8 +180,9 @@ def compare_bases(
 ) -> ExpressionFigures:
     """Judge E^H, E^PCA and E^QE on a performance, which may be another than they were made from (section 5.5).
 
-    Weights are free, or within `bounds` (least, largest) for hand-made and quasi-eigen faces; eigenfaces are always free. One
-    passage over the frames. Raises `InputError` for another topology.
+    Weights are free, or within `bounds` (least, largest) for hand-made and quasi-eigen faces; eigenfaces are always free,
+    so that ratios to them are the paper's only where all are. One passage over the frames. Raises `InputError` for another
+    topology.
     """
     elements = min(len(faces.hand), len(faces.eigen))
     hand, pca, quasi = reproductions(
