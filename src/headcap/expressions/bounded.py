@@ -22,7 +22,7 @@ def solve_frames(
     gram: NDArray, right: NDArray, low: float, high: float, sparsity: float, start: NDArray
 ) -> tuple[NDArray[np.float64], int]:
     """Weights (l, k) of frames without a tie between them, each begun where the one before ended; frames that did not settle."""
-    return _solve_frames(gram, np.ascontiguousarray(right), low, high, sparsity, np.ascontiguousarray(start))
+    return _solve_frames(gram, np.ascontiguousarray(right), low, high, sparsity, np.array(start, float))
 
 
 def solve_sequence(
@@ -39,11 +39,12 @@ def _solve_frames(gram, right, low, high, sparsity, start):
     frames, count = right.shape
     out = np.empty((frames, count))
     unsettled = 0
-    last = start.reshape(1, count).copy()
+    last = start.reshape(1, count)
     for frame in range(frames):
         if not _descend(gram, right[frame : frame + 1], low, high, sparsity, 0.0, last):
             unsettled += 1
-        out[frame] = last[0]
+        for i in range(count):
+            out[frame, i] = last[0, i]
     return out, unsettled
 
 
@@ -51,8 +52,9 @@ def _solve_frames(gram, right, low, high, sparsity, start):
 def _descend(gram, right, low, high, sparsity, smoothing, weights):
     """Rounds of coordinate descent and a projected Newton step, in place; whether the gradient came to rest."""
     scale = sparsity
-    for value in right.ravel():
-        scale = max(scale, abs(value))
+    for t in range(right.shape[0]):
+        for i in range(right.shape[1]):
+            scale = max(scale, abs(right[t, i]))
     gradient = np.empty_like(weights)
     for _ in range(_ROUNDS):
         _gradient(gram, right, smoothing, weights, gradient)
@@ -68,19 +70,33 @@ def _descend(gram, right, low, high, sparsity, smoothing, weights):
 
 
 @njit(cache=True)
+def _add(out, factor, row):
+    for i in range(len(out)):
+        out[i] += factor * row[i]
+
+
+@njit(cache=True)
+def _move(weights, share, step, least, most, out):
+    """A step along the projected arc."""
+    for t in range(weights.shape[0]):
+        for i in range(weights.shape[1]):
+            out[t, i] = min(max(weights[t, i] + share * step[t, i], least[t, i]), most[t, i])
+
+
+@njit(cache=True)
 def _gradient(gram, right, smoothing, weights, gradient):
     """Of the smooth part, per weight."""
     frames, count = weights.shape
     for t in range(frames):
-        gradient[t] = -right[t]
+        for i in range(count):
+            gradient[t, i] = -right[t, i]
+            if t > 0:
+                gradient[t, i] += smoothing * (weights[t, i] - weights[t - 1, i])
+            if t + 1 < frames:
+                gradient[t, i] += smoothing * (weights[t, i] - weights[t + 1, i])
         for i in range(count):
             if weights[t, i] != 0.0:
-                gradient[t] += weights[t, i] * gram[i]
-        if smoothing > 0.0:
-            if t > 0:
-                gradient[t] += smoothing * (weights[t] - weights[t - 1])
-            if t + 1 < frames:
-                gradient[t] += smoothing * (weights[t] - weights[t + 1])
+                _add(gradient[t], weights[t, i], gram[i])
 
 
 @njit(cache=True)
@@ -97,7 +113,7 @@ def _sweep(gram, low, high, sparsity, smoothing, weights, gradient):
             if moved == 0.0:
                 continue
             weights[t, i] += moved
-            gradient[t] += moved * gram[i]
+            _add(gradient[t], moved, gram[i])
             gradient[t, i] += smoothing * neighbours * moved
             if t + 1 < frames:
                 gradient[t + 1, i] -= smoothing * moved
@@ -128,31 +144,34 @@ def _at_rest(low, high, sparsity, weights, gradient):
 @njit(cache=True)
 def _newton(gram, low, high, sparsity, smoothing, weights, gradient):
     """One step of the weights that may move, along the projected arc or, where the objective rises there, to the first bound."""
-    free, least, most, step = _room(low, high, sparsity, weights, gradient, False)
-    _solve_blocks(gram, smoothing, free, step)
-    share = 1.0
-    for _ in range(_HALVINGS):
-        tried = np.minimum(np.maximum(weights + share * step, least), most)
-        if _change(gram, sparsity, smoothing, weights, tried, gradient) <= 0.0:
-            weights[:] = tried
+    tried = np.empty_like(weights)
+    for straight in (False, True):
+        free, least, most, step = _room(low, high, sparsity, weights, gradient, straight)
+        _solve_blocks(gram, smoothing, free, step)
+        if straight:
+            # the objective falls until the face's minimum: finite, since each step ends there or on one bound more
+            _move(weights, _reach(weights, step, least, most), step, least, most, weights)
             return
-        share *= 0.5
-    # straight on the objective falls until the face's minimum: finite, since each step ends there or on one bound more
-    free, least, most, step = _room(low, high, sparsity, weights, gradient, True)
-    _solve_blocks(gram, smoothing, free, step)
-    weights[:] = np.minimum(np.maximum(weights + _reach(weights, step, least, most) * step, least), most)
+        share = 1.0
+        for _ in range(_HALVINGS):
+            _move(weights, share, step, least, most, tried)
+            if _change(gram, sparsity, smoothing, weights, tried, gradient) <= 0.0:
+                _move(tried, 0.0, step, least, most, weights)
+                return
+            share *= 0.5
 
 
 @njit(cache=True)
 def _room(low, high, sparsity, weights, gradient, inside_only):
     """Which weights may move, between what, on their side of zero where sparsity has a kink; and the slope they go against."""
     free, step = np.zeros(weights.shape, np.bool_), np.zeros_like(weights)
-    least, most = weights.copy(), weights.copy()
+    least, most = np.empty_like(weights), np.empty_like(weights)
     for t in range(weights.shape[0]):
         for i in range(weights.shape[1]):
             weight = weights[t, i]
             slope, side = _slope(low, high, sparsity, weight, gradient[t, i])
             inside = low < weight < high and (sparsity == 0.0 or weight != 0.0)
+            least[t, i] = most[t, i] = weight
             if not inside and (inside_only or slope == 0.0):
                 continue
             if slope == 0.0:
@@ -180,19 +199,31 @@ def _reach(weights, step, least, most):
 def _change(gram, sparsity, smoothing, weights, tried, gradient):
     """By how much the objective rises: from the difference, since near the optimum two objectives agree to rounding."""
     frames, count = weights.shape
-    total, product, before = 0.0, np.empty(count), np.zeros(count)
+    total, product = 0.0, np.empty(count)
     for t in range(frames):
-        moved = tried[t] - weights[t]
         product[:] = 0.0
         for i in range(count):
-            if moved[i] != 0.0:
-                product += moved[i] * gram[i]
+            if tried[t, i] != weights[t, i]:
+                _add(product, tried[t, i] - weights[t, i], gram[i])
         for i in range(count):
-            total += moved[i] * (gradient[t, i] + 0.5 * product[i]) + sparsity * (abs(tried[t, i]) - abs(weights[t, i]))
+            moved = tried[t, i] - weights[t, i]
+            total += moved * (gradient[t, i] + 0.5 * product[i]) + sparsity * (abs(tried[t, i]) - abs(weights[t, i]))
             if t > 0:
-                total += 0.5 * smoothing * (moved[i] - before[i]) ** 2
-        before = moved
+                total += 0.5 * smoothing * (moved - tried[t - 1, i] + weights[t - 1, i]) ** 2
     return total
+
+
+@njit(cache=True)
+def _choose(free, chosen, values):
+    """How many weights of a frame are free, and which; values of the others are 0."""
+    size = 0
+    for i in range(len(free)):
+        if free[i]:
+            chosen[size] = i
+            size += 1
+        else:
+            values[i] = 0.0
+    return size
 
 
 @njit(cache=True)
@@ -206,13 +237,7 @@ def _solve_blocks(gram, smoothing, free, values):
     inverses = np.empty((frames if frames > 1 else 0, count, count))
     block, chosen = np.empty((count, count)), np.empty(count, np.int64)
     for t in range(frames):
-        size = 0
-        for i in range(count):
-            if free[t, i]:
-                chosen[size] = i
-                size += 1
-            else:
-                values[t, i] = 0.0
+        size = _choose(free[t], chosen, values[t])
         neighbours = (1.0 if t > 0 else 0.0) + (1.0 if t + 1 < frames else 0.0)
         for a in range(size):
             for b in range(a + 1):
@@ -222,7 +247,7 @@ def _solve_blocks(gram, smoothing, free, values):
             block[a, a] += smoothing * neighbours
         _cholesky(block, size)
         if t > 0:
-            values[t] += smoothing * _product(inverses[t - 1], values[t - 1], free[t])
+            _add(values[t], smoothing, _product(inverses[t - 1], values[t - 1], free[t]))
         if frames == 1:
             _substitute(block, size, chosen, values[t])
         else:
@@ -234,7 +259,9 @@ def _solve_blocks(gram, smoothing, free, values):
             for i in range(count):
                 if free[t, i]:
                     values[t, i] += smoothing * values[t + 1, i]
-        values[t] = _product(inverses[t], values[t], free[t])
+        found = _product(inverses[t], values[t], free[t])
+        for i in range(count):
+            values[t, i] = found[i]
 
 
 @njit(cache=True)
@@ -242,7 +269,8 @@ def _product(matrix, vector, rows):
     out = np.zeros(len(vector))
     for i in range(len(vector)):
         if rows[i]:
-            out[i] = np.dot(matrix[i], vector)
+            for j in range(len(vector)):
+                out[i] += matrix[i, j] * vector[j]
     return out
 
 
