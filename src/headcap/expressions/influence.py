@@ -43,6 +43,11 @@ def localised(hand: ExpressionBasis, eigen: Eigenfaces, locality: float) -> NDAr
     sum_v s_i(v) |e_i^H(v) - mu(v) - sum_j w_j e_j^PCA(v)|^2 + 1e-3 locality |w - w_i|^2 about w_i of eq. 3, and the shape is
     s_i (mu + sum_j w_j e_j^PCA). At 0 this is eq. 3 and 4; at 1 nothing outside the region counts or moves. What the restriction
     costs is how far shapes leave the hyperplane (`off_plane`) and what of the performance they span (`projection.span_report`).
+
+    On the 53 expressions of ICT-FaceKit, smoothed, scaled and mixed with a neighbour, and a performance of 21 axes: from 0 to 1
+    the median correlation with the hand-made shapes rose from 0.91 to 0.98, shapes came to lie 14 % of their norm off the
+    hyperplane, and what the basis spans of the performance fell from 99.61 to 99.43 % of its variance. With weights in [0, 1] it
+    reproduced the performance to 6.2 % of its displacements, the hand-made basis to 7.8 % and eq. 4 to 16.8 %.
     """
     kept = 1.0 - locality * (1.0 - regions_of_influence(hand))
     mean, vectors = eigen.mean.ravel(), eigen.rows

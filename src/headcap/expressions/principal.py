@@ -36,7 +36,7 @@ def eigenfaces(performance: Performance, *, coverage: float = 0.995, count: int 
         raise ValueError(f"coverage {coverage} is not in (0, 1]")
     _require_frames(performance, count)
     mean = mean_displacement(performance)
-    found = _directions(performance, mean, coverage, count, seed)
+    found = _directions(performance, mean, coverage, count, seed).told()
     if not len(found.values):
         raise InputError(
             f"{performance.source} does not move", expected="frames that differ", remedy="Give a performance with expressions."

@@ -73,7 +73,9 @@ class QuasiEigenSettings(BaseModel):
         "none to take displacements as they are",
     )
     bounds: tuple[float, float] | None = Field(
-        None, description="Least and largest weight; none as the paper has it, which advises weights of both signs"
+        None,
+        description="Least and largest weight; none as the paper has it, which advises weights of both "
+        "signs: without negative ones the projections of eq. 4 can reproduce less than the shapes they were made of",
     )
     smoothing: float = Field(0.0, ge=0, description="Of weights over time, beside a unit error of them")
     sparsity: float = Field(0.0, ge=0, description="Weight below which a shape that stands alone is left out")

@@ -49,6 +49,10 @@ class Directions:
         """The leading ones, at most `count`."""
         return Directions(self.vectors[:count], self.values[:count], self.energy)
 
+    def told(self) -> Directions:
+        """Those that single precision tells from nothing."""
+        return self.first(int((self.values > LEAST * self.values.max(initial=0.0)).sum()))
+
 
 @dataclass(frozen=True, eq=False)
 class PrincipalComponents:

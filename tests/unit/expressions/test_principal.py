@@ -153,6 +153,7 @@ def test_noise_that_no_number_of_axes_covers_is_refused(rng, monkeypatch):
         eigenfaces(performance_of(noise), coverage=0.999)
 
 
-def test_directions_of_rounding_are_no_axes(rng):
-    displacements = moving(rng, 60, 40, modes=3)
+@pytest.mark.parametrize(("frames", "points"), [(60, 40), (LONG, 200)])
+def test_directions_of_rounding_are_no_axes(rng, frames, points):
+    displacements = moving(rng, frames, points, modes=3)
     assert len(eigenfaces(performance_of(displacements), count=20)) == 3

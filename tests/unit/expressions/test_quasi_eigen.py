@@ -219,6 +219,24 @@ def test_a_neutral_face_of_another_shape_is_refused_with_the_region(true, hand, 
         convert_basis(replace(performance, regions=regions), basis)
 
 
+def test_markers_are_named(true, hand, displacements):
+    """Footnote 3: no triangles; an offset is told at its marker, and shapes may be kept to their regions."""
+    opened = true.neutral.copy()
+    opened[7] += np.float32([0.0, 0.0, 0.9])
+    performance, basis = offset(displacements, true, hand, opened)
+    markers = replace(performance, triangles=triangles()[:0], points=tuple(f"M{index}" for index in range(POINTS)))
+    with pytest.raises(InputError, match=r"another shape; .* at marker M7"):
+        convert_basis(markers, basis)
+    held = np.where(np.arange(POINTS)[:, None] < 20, hand.displacements, 0.0)
+    local = convert_basis(
+        performance_of(displacements, true.neutral, triangles()[:0]),
+        ExpressionBasis(hand.names, hand.neutral, held, triangles()[:0]),
+        QuasiEigenSettings(locality=1.0, augment=False),
+    )
+    assert np.abs(local.quasi.displacements[:, 20:]).max() == 0.0
+    assert np.abs(local.quasi.displacements[:, :20]).max() > 1e-3
+
+
 def test_a_take_without_rest_passes(true, hand, displacements):
     """Only frames beyond the median distance from the neutral face."""
     far = np.linalg.norm(displacements.reshape(FRAMES, -1), axis=1)
