@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from headcap.artifacts import ArtifactError
 from headcap.errors import InputError
-from headcap.expressions.mesh_files import MESH_SUFFIXES, read_mesh
+from headcap.expressions.mesh_files import MESH_SUFFIXES, read_surface
 from headcap.expressions.mesh_frames import MeshFrames
+from headcap.meshes.topology import same_triangles
 from headcap.registration.template import Template
 
 Unit = Literal["m", "cm", "mm"]
@@ -76,7 +77,7 @@ def neutral_face(
             expected=f"the {count} of {frames.source}",
             remedy="Give the neutral in the performance's own topology and vertex order.",
         )
-    if frames.triangles is not None and not np.array_equal(known[0], frames.triangles):
+    if frames.triangles is not None and not same_triangles(known[0], frames.triangles):
         raise InputError(
             f"the triangles of the neutral ({face.source}) are not those of {frames.source}",
             expected="one topology",
@@ -103,7 +104,7 @@ def _read_neutral(frames: MeshFrames, scale: float, neutral: Path | NDArray | Te
         return NeutralFace(np.asarray(neutral, float).reshape(-1, 3), None, {}, "the positions given")
     path = Path(neutral)
     if path.suffix.lower() in MESH_SUFFIXES:
-        vertices, corners = read_mesh(path)
+        vertices, corners = read_surface(path)
         return NeutralFace(vertices * metres_per(unit), corners, {}, path.name)
     try:
         template = Template.load(path)

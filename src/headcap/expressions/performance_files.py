@@ -42,7 +42,11 @@ class PerformanceSettings(BaseModel):
         "and 0.5",
     )
     sample_frames: int = Field(64, ge=2, description="Frames, evenly spread, in which what holds still is looked for")
-    fade_mm: float = Field(20.0, ge=0, description="Displacements fade to none over so much skin beyond the face")
+    fade_mm: float = Field(
+        40.0,
+        ge=0,
+        description="Displacements fade to none over so much skin beyond the face; within 20 mm an open jaw folds the skin below",
+    )
     farthest_neutral_mm: float = Field(
         5.0,
         gt=0,

@@ -16,6 +16,7 @@ from headcap.errors import InputError
 from headcap.expressions.mesh_files import MESH_SUFFIXES, natural_key, read_mesh_files
 from headcap.expressions.mesh_frames import MeshFrames, refuse_other_count
 from headcap.expressions.usd_frames import read_usd_frames
+from headcap.meshes.topology import same_triangles
 from headcap.registration.point_cache import read_pc2
 from headcap.registration.sequence import JoinedMeshes, MeshSequence
 
@@ -102,7 +103,7 @@ def _joined(parts: list[MeshFrames]) -> MeshFrames:
                 remedy="Read them one by one, each with its unit.",
             )
     topologies = [part.triangles for part in parts if part.triangles is not None]
-    if any(not np.array_equal(topologies[0], other) for other in topologies[1:]):
+    if any(not same_triangles(topologies[0], other) for other in topologies[1:]):
         raise InputError(
             "the files' triangles differ", expected="one topology", remedy="Export all takes from one mesh, in one vertex order."
         )

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from headcap.errors import InputError
-from headcap.expressions.mesh_files import fans
 from headcap.expressions.mesh_frames import MeshFrames, decoded, refuse_other_count
+from headcap.meshes.topology import polygon_fans
 
 _Y_FROM_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
@@ -28,9 +28,8 @@ def read_usd_frames(path: Path, prim: str | None = None) -> MeshFrames:
         raise InputError(f"{path} cannot be opened", expected="a USD file", remedy="Export it again.") from error
     mesh = _animated_mesh(path, stage, prim)
     codes = mesh.GetPointsAttr().GetTimeSamples()
-    triangles = fans(
-        np.array(mesh.GetFaceVertexCountsAttr().Get(codes[0])), np.array(mesh.GetFaceVertexIndicesAttr().Get(codes[0]))
-    )
+    corners, sizes = mesh.GetFaceVertexIndicesAttr().Get(codes[0]), mesh.GetFaceVertexCountsAttr().Get(codes[0])
+    triangles = polygon_fans(np.array(corners), np.array(sizes))
     unit_m = UsdGeom.GetStageMetersPerUnit(stage)
     axes = _Y_FROM_Z_UP if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else np.eye(3)
     count = len(mesh.GetPointsAttr().Get(codes[0]))

