@@ -30,6 +30,8 @@ PICTURED_SHAPES, PICTURED_AXES, DRAWN_WEIGHTS = 80, 8, 10
 DEVIATIONS = 3.0
 """An eigenface is shown at so many standard deviations of the performance along it."""
 _TILE, _FACE = 280, 340
+_TIMES, _REACH_MM = (1, 2, 3, 5, 10), 15.0
+"""Errors of markers are drawn as many times as keeps them this short."""
 
 
 @dataclass(frozen=True)
@@ -274,18 +276,21 @@ class _Frames:
 
     rows: list[tuple[Moment, list[Shown], list[Shown]]]
     top_mm: float
+    times: int
+    """By which errors of markers are drawn larger."""
 
 
 def _frames(page: ExpressionsPage) -> _Frames:
     painter = _large(page)
-    top = round_top(length_mm(page.reproduced["hand"] - page.captured))
+    error_mm = length_mm(page.reproduced["hand"] - page.captured)
+    top, times = round_top(error_mm), max(t for t in _TIMES if t == 1 or t * error_mm.max() <= _REACH_MM)
     rows = []
     for number, moment in enumerate(page.moments):
         captured, made = page.captured[number], {name: page.reproduced[name][number] for name in BASES}
         faces = [Shown(_uri(painter, [painter.shape(captured)]), "captured")]
         faces += [Shown(_uri(painter, [painter.shape(made[name])]), _caption(page, name, moment)) for name in BASES]
-        rows.append((moment, faces, [_error(painter, name, captured, made[name], top) for name in BASES]))
-    return _Frames(rows, top)
+        rows.append((moment, faces, [_error(painter, name, captured, made[name], (top, times)) for name in BASES]))
+    return _Frames(rows, top, times)
 
 
 def _large(page: ExpressionsPage) -> FacePainter:
@@ -301,9 +306,12 @@ def _caption(page: ExpressionsPage, name: str, moment: Moment) -> str:
     return f"{diagrams.TOLD[name]}: alpha {alpha:.3g} %, rms {rms:.3g}\u00a0mm"
 
 
-def _error(painter: FacePainter, name: str, captured: NDArray, made: NDArray, top_mm: float) -> Shown:
-    error = length_mm(made - captured)
-    image = painter.errors(captured, error, top_mm) if painter.is_mesh else painter.against(captured, made)
+def _error(painter: FacePainter, name: str, captured: NDArray, made: NDArray, scale: tuple[float, int]) -> Shown:
+    error, (top_mm, times) = length_mm(made - captured), scale
+    if painter.is_mesh:
+        image = painter.errors(captured, error, top_mm)
+    else:
+        image = painter.against(captured, captured + times * (made - captured))
     return Shown(_uri(painter, [image]), f"{diagrams.TOLD[name]}: {error.max():.3g}\u00a0mm at most")
 
 

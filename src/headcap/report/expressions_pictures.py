@@ -22,6 +22,8 @@ MOVES_SHARE = 0.12
 """A point belongs to the picture where any shape moves it by this share of the farthest movement of all."""
 _CAPTURED, _REPRODUCED = (214, 40, 40), (36, 84, 214)
 _MOVED = (0, 135, 122)
+_SMALL = 0.6
+"""Of dots that are compared: errors of a millimetre or two must not hide in them."""
 _TOLD_SHARE = 0.1
 """Markers that move less than this share of the one that moves most are shown at rest only."""
 _CLAY = np.array([[226.0, 222.0, 216.0]])
@@ -106,7 +108,7 @@ class FacePainter:
 
     def against(self, captured: NDArray, reproduced: NDArray) -> Image:
         """Figure 4 of the paper: captured points red, reproduced ones blue, and a line between the two."""
-        return self._pairs(captured, reproduced, (_CAPTURED, _REPRODUCED), np.ones(len(captured), bool))
+        return self._pairs(captured, reproduced, (_CAPTURED, _REPRODUCED), np.ones(len(captured), bool), _SMALL)
 
     def _surface(self, displacement: NDArray, shares: NDArray, palette: NDArray, darkest: float) -> Image:
         """The shaded mesh, coloured by shares (n,) of the way through a palette (c, 3)."""
@@ -116,16 +118,16 @@ class FacePainter:
         corners = (raster.triangle, raster.barycentric, self.triangles)
         return _averaged(_paint(*corners, light, np.asarray(shares, float), palette, darkest))
 
-    def _pairs(self, before: NDArray, after: NDArray, colours: tuple, told: NDArray[np.bool_]) -> Image:
-        """Points at two places (n, 3); of those that are `told` (n,) the latter on top, joined to the former."""
+    def _pairs(self, before: NDArray, after: NDArray, colours: tuple, told: NDArray[np.bool_], size: float = 1.0) -> Image:
+        """Points at two places (n, 3), drawn at a size; of those that are `told` (n,) the latter on top, joined to the former."""
         canvas, (first, second) = self._canvas(), colours
         starts, ends = self._pixels(before), self._pixels(after)
         for start in starts:
-            self._dot(canvas, start, first)
+            self._dot(canvas, start, first, size)
         for start, end in zip(starts[told], ends[told], strict=True):
             cv2.line(canvas, _fixed(start), _fixed(end), _TRACE, _FINER, cv2.LINE_AA, _SHARP)
         for end in ends[told]:
-            self._dot(canvas, end, second, 0.75)
+            self._dot(canvas, end, second, 0.75 * size)
         return _averaged(canvas)
 
     def _canvas(self) -> Image:

@@ -5,7 +5,8 @@ import pytest
 
 from headcap.report.expressions_pictures import NEAREST, FacePainter, joined, length_mm, round_top
 
-HEIGHT = 120
+HEIGHT, MARKERS_HEIGHT = 120, 480
+"""Of pictures of the ball, and of markers: dots for comparison are half a hundredth of the height."""
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +29,12 @@ def markers(template, bump):
     """A few points of the ball, without triangles, and how the bump moves them."""
     chosen = np.flatnonzero(template.vertices[:, 2] > 0.05)[::17]
     few = template.vertices[chosen]
-    return FacePainter.framing(few, np.empty((0, 3), int), bump[chosen][None], height=HEIGHT), bump[chosen]
+    return FacePainter.framing(few, np.empty((0, 3), int), bump[chosen][None], height=MARKERS_HEIGHT), bump[chosen]
 
 
-def pixels_of(painter, displacement):
+def pixels_of(painter, displacement, height=HEIGHT):
     """Where points are in the averaged picture, x and y."""
-    scale = painter.camera.height / HEIGHT
+    scale = painter.camera.height / height
     return (painter.camera.project(painter.neutral + displacement)[0] + 0.5) / scale - 0.5
 
 
@@ -101,7 +102,7 @@ def test_captured_markers_are_red_and_reproduced_ones_blue_where_they_are(marker
     blue = (image[..., 2] > 150) & (image[..., 0] < 110)
     assert red.any()
     assert blue.any()
-    for x, y in np.rint(pixels_of(painter, moved)).astype(int):
+    for x, y in np.rint(pixels_of(painter, moved, MARKERS_HEIGHT)).astype(int):
         assert blue[y, x]
     exact = painter.against(moved, moved).astype(int)
     grey_line = np.abs(exact - exact.mean(axis=2, keepdims=True)).max(axis=2) < 3
@@ -120,7 +121,7 @@ def test_markers_take_the_colour_of_their_error(markers):
     painter, moved = markers
     error = np.linspace(0, 1, len(moved))
     image = painter.errors(moved, error, 1.0).astype(int)
-    places = np.rint(pixels_of(painter, moved)).astype(int)
+    places = np.rint(pixels_of(painter, moved, MARKERS_HEIGHT)).astype(int)
     most, least = places[-1], places[0]
     assert image[most[1], most[0], 0] > 200
     assert image[least[1], least[0], 0] < 120
