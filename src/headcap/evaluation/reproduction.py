@@ -80,10 +80,13 @@ def reproductions(
 
 def orthonormal_rows(rows: NDArray) -> NDArray[np.float64]:
     """(r, 3 n) directions that span the rows (k, 3 n) up to `SPAN_TOLERANCE`."""
-    values, vectors = np.linalg.eigh(np.asarray(rows, np.float64) @ np.asarray(rows, np.float64).T)
+    rows = np.asarray(rows, np.float64)
+    # a shape that hardly moves is a direction like any other
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1), np.finfo(np.float64).tiny)[:, None]
+    values, vectors = np.linalg.eigh(rows @ rows.T)
     # the Gram matrix squares the tolerance to what float64 still tells apart; the second passage makes the rows straight
     kept = values > max(values.max(initial=0.0), 1e-300) * SPAN_TOLERANCE**2
-    spanning = (vectors[:, kept] / np.sqrt(values[kept])).T @ np.asarray(rows, np.float64)
+    spanning = (vectors[:, kept] / np.sqrt(values[kept])).T @ rows
     return np.linalg.qr(spanning.T)[0].T if len(spanning) else spanning
 
 

@@ -78,7 +78,7 @@ class Eigenfaces:
     vectors: NDArray[np.float32]
     """e_j^PCA (m, n, 3), orthonormal as vectors of 3 n numbers."""
     variances: NDArray[np.float64]
-    """lambda_j (m,), square metres, falling: mean square of the coordinates along each axis."""
+    """lambda_j (m,), square metres: mean square of the coordinates along each axis, which are uncorrelated."""
     total_variance: float
     """Sum of all eigenvalues of C, kept or not."""
 
@@ -105,18 +105,21 @@ class Eigenfaces:
         """The first axes alone."""
         return Eigenfaces(self.mean, self.vectors[:count], self.variances[:count], self.total_variance)
 
-    def through_neutral(self) -> Eigenfaces:
-        """The axes and one more, the direction of `offset`, so that the hyperplane runs through the neutral face.
+    def through_neutral(self, count: int | None = None) -> Eigenfaces:
+        """The first axes, all by default, and one more, the direction of their `offset`: a hyperplane through the neutral face.
 
         Sums of eq. 5 begin at the neutral face, not at mu: without this axis the offset ties shapes to each other, and k shapes
-        span k - 1 directions of the hyperplane. The performance does not vary along it.
+        span k - 1 directions of the hyperplane. Its variance is that of the axes left out; what no axis tells counts as none.
         """
-        offset = self.offset.astype(np.float64)
+        kept, left = self.first(len(self) if count is None else count), self.rows[count:] if count is not None else self.rows[:0]
+        offset = kept.offset.astype(np.float64)
         length = np.linalg.norm(offset)
         if length <= _NO_OFFSET * np.linalg.norm(self.mean):
-            return self
-        vectors = np.concatenate([self.vectors, (offset / length).astype(np.float32)[None]])
-        return Eigenfaces(self.mean, vectors, np.append(self.variances, 0.0), self.total_variance)
+            return kept
+        unit = offset / length
+        variance = float(np.square(left @ unit.ravel()) @ self.variances[len(kept) :])
+        vectors = np.concatenate([kept.vectors, unit.astype(np.float32)[None]])
+        return Eigenfaces(self.mean, vectors, np.append(kept.variances, variance), self.total_variance)
 
 
 @dataclass(frozen=True, eq=False)

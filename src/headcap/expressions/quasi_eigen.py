@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from headcap.errors import InputError, InputErrors
 from headcap.expressions.basis import Eigenfaces, ExpressionBasis, QuasiEigenFaces
+from headcap.expressions.hyperplane import spanning_axes
 from headcap.expressions.performance import Performance
 from headcap.expressions.principal import eigenfaces
 from headcap.expressions.projection import quasi_eigen_faces
@@ -34,8 +35,8 @@ class QuasiEigenSettings(BaseModel):
 
     components: Literal["shapes", "coverage"] | Annotated[int, Field(ge=1)] = Field(
         "shapes",
-        description="Principal axes that shapes are projected onto: one fewer than shapes, so that with the direction to the "
-        "neutral face they span exactly what k shapes can; as many as `coverage` asks for; or a number",
+        description="Principal axes that shapes are projected onto: as many, fewer than shapes, as let them reproduce most; as "
+        "many as `coverage` asks for; or a number",
     )
     coverage: float = Field(
         0.995, gt=0, le=1, description="Share of the performance's variance that its eigenfaces cover (paper), where asked for"
@@ -104,7 +105,7 @@ def convert_basis(
     settings, tell = settings or QuasiEigenSettings(), progress or _silent
     require_fit(performance, hand, settings.neutral_mm)
     tell("principal axes", 0.0)
-    eigen, hyperplane = _axes(performance, len(hand), settings)
+    eigen, hyperplane = _axes(performance, hand, settings)
     tell("neutral face", 0.85)
     if settings.rest_ratio is not None:
         offset_of_rest(performance).require(settings.rest_ratio)
@@ -116,17 +117,19 @@ def convert_basis(
     return replace(faces, eigen=eigen, hyperplane=hyperplane)
 
 
-def _axes(performance: Performance, shapes: int, settings: QuasiEigenSettings) -> tuple[Eigenfaces, Eigenfaces]:
+def _axes(performance: Performance, hand: ExpressionBasis, settings: QuasiEigenSettings) -> tuple[Eigenfaces, Eigenfaces]:
     """E^PCA with as many axes as there are shapes, or more where they were asked for, and what shapes are projected onto."""
-    least = min(shapes, len(performance) - 1)
+    least = min(len(hand), len(performance) - 1)
     if settings.components == "coverage":
         hyperplane = eigenfaces(performance, coverage=settings.coverage, seed=settings.seed)
         eigen = hyperplane if len(hyperplane) >= least else eigenfaces(performance, count=least, seed=settings.seed)
     else:
-        count = max(shapes - 1, 1) if settings.components == "shapes" else settings.components
-        eigen = eigenfaces(performance, count=max(count, least), seed=settings.seed)
+        count = len(hand) if settings.components == "shapes" else settings.components
+        eigen = eigenfaces(performance, count=max(min(count, len(performance) - 1), least), seed=settings.seed)
         hyperplane = eigen.first(count)
-    return eigen, hyperplane.through_neutral() if settings.through_neutral else hyperplane
+    if not settings.through_neutral:
+        return eigen, hyperplane
+    return eigen, spanning_axes(hand, eigen) if settings.components == "shapes" else eigen.through_neutral(len(hyperplane))
 
 
 def require_fit(performance: Performance, hand: ExpressionBasis, neutral_mm: float | None = 1.0) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from headcap.artifacts import digest_settings, save_json, write_manifest
 from headcap.errors import InputError, InputErrors
@@ -31,6 +32,7 @@ from headcap.workflow.validation import validate
 MARKERS = (".c3d", ".trc", ".csv")
 _FORMS = ("basis", "basis.glb", "basis.usdc")
 """Endings that `write_basis` knows, for meshes."""
+_MOVES_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,12 @@ def _of_meshes(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Perf
     unit = request.unit or "m"
     if request.neutral is None:
         performance = read_performance(
-            request.performance, neutral=basis.neutral, triangles=basis.triangles, unit=unit, rate_hz=request.rate_hz
+            request.performance,
+            neutral=basis.neutral,
+            triangles=basis.triangles,
+            unit=unit,
+            rate_hz=request.rate_hz,
+            region=_where_shapes_move(basis),
         )
         return performance, basis
     neutral = Template.load(request.neutral) if request.neutral.suffix == ".npz" else request.neutral
@@ -113,6 +120,7 @@ def _of_markers(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Per
     takes = [read_markers(path, unit=request.unit, rate_hz=request.rate_hz) for path in request.performance]
     if request.on_markers:
         return _on_markers(request, takes, basis)
+    regions = None
     if request.neutral is not None:
         template = Template.load(request.neutral)
         basis = registered(
@@ -122,12 +130,15 @@ def _of_markers(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Per
             landmarks=_numbers(request.basis_landmarks) or None,
             onto_landmarks=dict(template.landmarks),
         ).basis
+        regions = dict(template.regions)
     performances = [
         mesh_performance(
             take,
             basis.neutral,
             basis.triangles,
             given=request.marker_vertices,
+            regions=regions,
+            region=None if regions else _where_shapes_move(basis),
             rigid=request.rigid,
             leave_out=request.leave_out,
             neutral_frame=request.neutral_frame,
@@ -135,6 +146,11 @@ def _of_markers(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Per
         for take in takes
     ]
     return (performances[0] if len(performances) == 1 else joined(performances)), basis
+
+
+def _where_shapes_move(basis: ExpressionBasis) -> NDArray[np.bool_]:
+    """(n,) the face of a mesh without regions: what some shape moves; the neck's own motion is no expression."""
+    return np.abs(basis.displacements).max(axis=(0, 2)) > _MOVES_M
 
 
 def _on_markers(

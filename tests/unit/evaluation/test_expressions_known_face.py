@@ -11,8 +11,10 @@ from pathlib import Path
 import pytest
 
 from headcap.evaluation.expressions import compare_bases
+from headcap.expressions.performance import joined
 from headcap.expressions.principal import eigenfaces
 from headcap.expressions.projection import quasi_eigen_faces
+from headcap.expressions.quasi_eigen import QuasiEigenSettings, convert_basis
 from headcap.synthetic.sculptor import SculptorSettings, sculpt
 
 _SPEC = importlib.util.spec_from_file_location("_expression_takes", Path(__file__).parents[2] / "bench" / "_expression_takes.py")
@@ -78,3 +80,20 @@ def test_fewer_axes_tell_fewer_shapes_apart(sculpted, speech):
     assert figures["quasi_eigen.median_correlation"] >= 0.8
     assert {shape.name for shape in found.mistaken} <= set(found.not_told_apart)
     assert figures["quasi_eigen.own_closest_share"] < 1
+
+
+def chosen(performance, hand):
+    performance, hand = takes.thinned(performance, hand, EVERY_VERTEX)
+    return compare_bases(performance, convert_basis(performance, hand, QuasiEigenSettings(augment=False, rest_ratio=None)))
+
+
+def test_as_many_shapes_reproduce_as_well_as_as_many_eigenfaces(face, sculpted, speech):
+    """53 of each, on the rig's short takes and on these with speech: the settings' defaults."""
+    rig = joined([takes.rig_take(face, name) for name in takes.RIG_TAKES])
+    for performance in (rig, joined([rig, speech])):
+        found = chosen(performance, sculpted)
+        figures = found.figures()
+        assert found.elements >= 40
+        assert figures["quasi_eigen.qe_over_pca"] <= 1.2
+        assert figures["quasi_eigen.hand_over_qe"] >= 4
+    assert figures["quasi_eigen.median_correlation"] >= 0.8
