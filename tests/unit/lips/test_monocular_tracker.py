@@ -183,7 +183,18 @@ def test_the_layer_is_recovered_where_albedo_and_light_are_known():
     assert np.abs(away[1][:, 2]).mean() < 0.7 * np.abs(away[0][:, 2]).mean()
 
 
-def test_a_head_that_turns_tells_who_it_is(studio: Studio):
+def asked_once(function):
+    """Its first answer again, which takes long to find."""
+    answers = []
+
+    def answer(*given, **named):
+        answers.extend([] if answers else [function(*given, **named)])
+        return answers[0]
+
+    return answer
+
+
+def test_a_head_that_turns_tells_who_it_is(studio: Studio, monkeypatch: pytest.MonkeyPatch):
     turns = [(0, 0), (0, 10), (0, 20), (6, 8), (10, -6), (4, -16)]
     facing, shift = studio.still.camera_from_head[:3, :3], studio.still.camera_from_head[:3, 3]
     moments = [
@@ -194,6 +205,7 @@ def test_a_head_that_turns_tells_who_it_is(studio: Studio):
     clip = Clip(studio.camera, np.arange(len(turns)) / 25, lambda: iter(pictures))
     points = {0: studio.points(moments[0])}
     alone = track_video(studio.model, studio.camera, pictures, clip.time_s, points, SETTINGS)
+    monkeypatch.setattr(stage, "identify", asked_once(stage.identify))
     together = followed_clip(studio.model, clip, SETTINGS, points)
     rest = Moment(np.zeros(30), 0.0, np.eye(4))
     errors = []
@@ -206,9 +218,22 @@ def test_a_head_that_turns_tells_who_it_is(studio: Studio):
     # half a pixel, to which places are followed, is at 20 degrees 0.5 / sin(20 degrees) = 1.5 pixels in depth
     assert errors[1] < 1.5 * PIXEL_MM
     assert errors[1] < 0.6 * errors[0]
+    # nothing is followed a second time where it is asked for alone who that is
+    monkeypatch.setattr(stage, "track_video", lambda *_, **__: alone)
+    told = followed_clip(studio.model, clip, SETTINGS, points, who_alone=True)
+    np.testing.assert_array_equal(told.layer, together.layer)
+    np.testing.assert_array_equal(told.shape, together.shape)
+    assert told.answered.all()
+    rows = np.searchsorted(clip.time_s, told.time_s)
+    np.testing.assert_array_equal(clip.time_s[rows], told.time_s)
+    shown = [np.array(list(track.meshes(studio.model))) for track in (told, together)]
+    away_px = [studio.camera.project(mesh)[0] for mesh in (shown[0][:, face], shown[1][rows][:, face])]
+    # flow to a pixel, and photometry that has to agree with it
+    assert np.linalg.norm(away_px[0] - away_px[1], axis=-1).mean() < 1.0
 
 
-def test_who_does_not_lead_through_the_video_is_not_who_turned(studio: Studio, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("who_alone", [False, True])
+def test_who_does_not_lead_through_the_video_is_not_who_turned(studio: Studio, monkeypatch: pytest.MonkeyPatch, who_alone: bool):
     facing, shift = studio.still.camera_from_head[:3, :3], studio.still.camera_from_head[:3, 3]
     turned = rigid(Rotation.from_euler("y", 14, degrees=True).as_matrix() @ facing, shift)
     pictures = [studio.picture(studio.still), studio.picture(Moment(np.zeros(30), 0.0, turned))]
@@ -217,11 +242,16 @@ def test_who_does_not_lead_through_the_video_is_not_who_turned(studio: Studio, m
     alone = track_video(studio.model, studio.camera, pictures, clip.time_s, points, SETTINGS)
     crumpled = np.random.default_rng(1).normal(0, 0.02, studio.model.vertices.shape).astype(np.float32)
     nobody = MonocularPerson(studio.model.digest, np.zeros(12), crumpled)
-    monkeypatch.setattr(stage, "identify", lambda *given, **known: Identified(nobody, 0.0, 2, 14.0, 0.0))
-    kept = followed_clip(studio.model, clip, SETTINGS, points)
+
+    def misled(surface, camera, frames, *_, **__) -> Identified:
+        return Identified(nobody, 0.0, 2, 14.0, 0.0, tuple(frame.estimate for frame in frames))
+
+    monkeypatch.setattr(stage, "identify", misled)
+    kept = followed_clip(studio.model, clip, SETTINGS, points, who_alone=who_alone)
     np.testing.assert_array_equal(kept.shape, alone.shape)
     assert not kept.layer.any()
     assert kept.answered.all()
+    assert len(kept) == len(clip)
 
 
 def test_over_a_gap_a_face_may_change_as_over_its_frames(started: Started):

@@ -61,6 +61,8 @@ class Identified:
     """The farthest turn of the head from the first frame."""
     flow_left_px: float
     """Median distance of places of the skin from where the last round found them."""
+    estimates: tuple[Estimate, ...] = ()
+    """Of the frames."""
 
 
 def key_frames(estimates: Sequence[Estimate | None], settings: IdentitySettings) -> list[int]:
@@ -99,7 +101,7 @@ def identify(
     first = estimates[0]
     turn_deg = max(_turn_deg(first, estimate) for estimate in estimates)
     person = MonocularPerson(surface.model.digest, surface.shape(first), surface.layer(first))
-    return Identified(person, first.log_focal, len(frames), turn_deg, left_px)
+    return Identified(person, first.log_focal, len(frames), turn_deg, left_px, tuple(estimates))
 
 
 def identity_surface(surface: FaceSurface, settings: MonocularSettings) -> FaceSurface:

@@ -18,6 +18,7 @@ from headcap.heads.model import RestOffset
 from headcap.lips.monocular.detections import SCHEMES
 from headcap.lips.monocular.person import MonocularPerson
 from headcap.lips.monocular.settings import MonocularSettings
+from headcap.lips.monocular.surface import Estimate
 from headcap.lips.monocular.tracker import FrameResult, FrameState, MonocularTracker
 
 KIND, SCHEMA = "monocular_track", 2
@@ -163,6 +164,26 @@ def track_video(
     if len(results) != len(time_s):
         raise InputError(f"{len(results)} pictures", expected=f"{len(time_s)}, one per moment", remedy="Read the video whole.")
     return _joined(model, camera, tracker, time_s, results)
+
+
+def place_frames(
+    model: HeadModel,
+    camera: Camera,
+    pictures: Iterable[NDArray[np.uint8]],
+    time_s: NDArray,
+    estimates: Iterable[Estimate],
+    settings: MonocularSettings,
+    person: MonocularPerson,
+) -> MonocularTrack:
+    """A track of frames at `time_s` (f,) in which a known person's pose, jaw and expression are known too, and not estimated.
+
+    Frames that do not look so are `LOST`. Raises `InputError` where none does.
+    """
+    tracker = MonocularTracker(model, camera, settings, person=person)
+    results = [tracker.take_up(picture, estimate) for picture, estimate in zip(pictures, estimates, strict=True)]
+    if all(result.estimate is None for result in results):
+        raise InputError(f"{len(results)} frames like none of which the face looks", expected="one", remedy="Track the video.")
+    return _joined(model, camera, tracker, np.asarray(time_s, float), results)
 
 
 def _steps(time_s: NDArray) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -15,10 +15,10 @@ from headcap.cameras import Camera, Rig
 from headcap.errors import InputError
 from headcap.heads import HeadModel
 from headcap.lips.clips import Clip
-from headcap.lips.monocular.identity import KeyFrame, identify, identity_surface, key_frames
+from headcap.lips.monocular.identity import Identified, KeyFrame, identify, identity_surface, key_frames
 from headcap.lips.monocular.overlay import draw_face
 from headcap.lips.monocular.person import MonocularPerson
-from headcap.lips.monocular.sequence import MonocularTrack, track_video
+from headcap.lips.monocular.sequence import MonocularTrack, place_frames, track_video
 from headcap.lips.monocular.settings import MonocularSettings
 from headcap.lips.monocular.surface import Estimate, FaceSurface
 from headcap.recordings.writer import write_picture
@@ -35,10 +35,13 @@ def track_clip(
     picture: Path,
     detections: Mapping[int, NDArray] | None = None,
     person: MonocularPerson | None = None,
+    *,
+    who_alone: bool = False,
 ) -> dict[str, float]:
     """Follow the face through a clip, write track, camera and sheet, and return the track's figures.
 
-    A `person` who is known already is placed and not estimated. Raises `InputError` as `track_video`.
+    A `person` who is known already is placed and not estimated; `who_alone` as `followed_clip` has it. Raises `InputError` as
+    `track_video`.
     """
     kept: dict[int, NDArray[np.uint8]] = {}
     shown = set(np.unique(np.linspace(0, len(clip) - 1, _SHOWN).round().astype(int)).tolist())
@@ -50,7 +53,9 @@ def track_clip(
                 kept[number] = image
             yield image
 
-    found = followed_clip(model, replace(clip, open_pictures=pictures), settings, detections, person)
+    found = followed_clip(model, replace(clip, open_pictures=pictures), settings, detections, person, who_alone)
+    if len(found) < len(clip):
+        kept = {row: image for row, (_, image) in enumerate(_pictures(clip, np.searchsorted(clip.time_s, found.time_s).tolist()))}
     found.save(track)
     save_cameras(camera, Rig((found.camera(clip.camera),)))
     write_picture(picture, sheet(model, clip.camera, found, kept, settings))
@@ -68,29 +73,76 @@ def followed_clip(
     settings: MonocularSettings,
     detections: Mapping[int, NDArray] | None = None,
     person: MonocularPerson | None = None,
+    who_alone: bool = False,
 ) -> MonocularTrack:
     """The track of a clip; where the head turns and nobody is known, once to see it turn and again with who that shows.
 
-    Raises `InputError` as `track_video`.
+    Where it is asked for `who_alone` that is, the track has those frames alone, each at its own time, that told it, as they told
+    it; but all of them as ever where one of them does not look so. Raises `InputError` as `track_video`.
     """
     given = (clip.time_s, detections, settings)
     track = track_video(model, clip.camera, clip.pictures(), *given, focal_known=clip.focal_known, person=person)
-    numbers = [] if person else key_frames([_estimate(track, clip.camera, k) for k in range(len(track))], settings.identity)
-    if not numbers:
+    turn = None if person else _turned(model, clip, settings, track)
+    if turn is None:
         return track
+    ratio = float(np.exp(turn.found.log_focal))
+    seen = replace(clip, camera=replace(track, focal_ratio=ratio).camera(clip.camera))
+    again = turn.track(model, seen, settings) if who_alone else None
+    if again is None:
+        again = _led_through(model, seen, settings, detections, turn.found.person, int(track.answered.sum()))
+    return track if again is None else replace(again, focal_ratio=ratio)
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """Frames of a clip in which a head turns, and what they told together."""
+
+    numbers: list[int]
+    frames: list[KeyFrame]
+    found: Identified
+
+    def track(self, model: HeadModel, clip: Clip, settings: MonocularSettings) -> MonocularTrack | None:
+        """These frames as they were told, in order; None where one of them does not look so."""
+        order = np.argsort(self.numbers)
+        pictures = [self.frames[k].picture for k in order]
+        # the person is a part of the surface then, and the lens one of the camera
+        told = [replace(self.found.estimates[k], shape=np.zeros(0), log_focal=0.0) for k in order]
+        time_s = clip.time_s[np.sort(self.numbers)]
+        try:
+            track = place_frames(model, clip.camera, pictures, time_s, told, settings, self.found.person)
+        except InputError:
+            return None
+        return track if track.answered.all() else None
+
+
+def _turned(model: HeadModel, clip: Clip, settings: MonocularSettings, track: MonocularTrack) -> _Turn | None:
+    """Who a head is that turns as tracked; None where it does not turn."""
+    numbers = key_frames([_estimate(track, clip.camera, k) for k in range(len(track))], settings.identity)
+    if not numbers:
+        return None
     frames = [KeyFrame(picture, _estimate(track, clip.camera, k)) for k, picture in _pictures(clip, numbers)]
     surface = identity_surface(FaceSurface(model, settings.expressions, settings.shapes), settings)
     own = replace(clip.camera, camera_from_world=np.eye(4))
-    found = identify(surface, own, frames, settings, focal_known=clip.focal_known)
-    seen = replace(track, focal_ratio=float(np.exp(found.log_focal))).camera(clip.camera)
+    return _Turn(numbers, frames, identify(surface, own, frames, settings, focal_known=clip.focal_known))
+
+
+def _led_through(
+    model: HeadModel,
+    clip: Clip,
+    settings: MonocularSettings,
+    detections: Mapping[int, NDArray] | None,
+    person: MonocularPerson,
+    least: int,
+) -> MonocularTrack | None:
+    """The track of a clip with who was found, None where that leads through fewer than `least` frames.
+
+    Somebody who is followed less well than from one frame alone is not who turned: hands, hair or a cut misled.
+    """
     try:
-        again = track_video(model, seen, clip.pictures(), *given, person=found.person)
+        track = track_video(model, clip.camera, clip.pictures(), clip.time_s, detections, settings, person=person)
     except InputError:
-        return track
-    # somebody who is followed less well than from one frame alone is not who turned: hands, hair or a cut misled
-    if again.answered.sum() < track.answered.sum():
-        return track
-    return replace(again, focal_ratio=float(np.exp(found.log_focal)))
+        return None
+    return track if track.answered.sum() >= least else None
 
 
 def _pictures(clip: Clip, numbers: Sequence[int]) -> list[tuple[int, NDArray[np.uint8]]]:

@@ -127,6 +127,24 @@ class MonocularTracker:
             )
         return replace(result, others=self._others)
 
+    def take_up(self, picture: NDArray[np.uint8], estimate: Estimate) -> FrameResult:
+        """A frame of which all but the light is known; the first one that is taken up tells the albedo as well.
+
+        `LOST` where the picture does not look like the face there. Raises `InputError` for a picture of another size.
+        """
+        self._check(picture)
+        if self._memory is None:
+            state, problem = FrameState.STARTED, self._first_problem(picture, estimate, [])
+            appearance = self._relit(problem, estimate, self._plain_appearance(len(problem.levels)), 0, _START_ROUNDS)
+            appearance, self._first = self._painted(problem, estimate, appearance), estimate
+        else:
+            state, prior = FrameState.TRACKED, Prior.of(self.surface, self.settings)
+            levels = levels_of(picture, self._cameras)
+            problem = FrameProblem(self.surface, levels, prior, self.settings, [], self._most_noise)
+            appearance = self._relit(problem, estimate, self._memory.appearance, 0, _START_ROUNDS)
+        slopes = self.surface.slopes(estimate)
+        return self._remember(state, problem, estimate, appearance, self._grey(picture), slopes) or _lost()
+
     def _identified(self, picture: NDArray[np.uint8], points: NDArray) -> tuple[FrameProblem, Estimate, Appearance]:
         """The face at detected points, and the person by its shading."""
         surface, settings, free = self.surface, self.settings, self._free_at_start()
