@@ -27,12 +27,15 @@ def run(
     camera: Path,
     picture: Path,
     name: str | None,
+    who_alone: bool,
     settings: MonocularSettings,
 ) -> None:
     cameras = CalibrationResult.load(rig).rig
     chosen = cameras[name or frontal_camera(cameras, Template.load(start))]
     clip = rig_clip(chosen, IngestedTake.load(ingested), TimeOffsets.load(offsets), TakeTimeline.load(timeline))
-    figures = track_clip(HeadModel.load(base), clip, settings, track, camera, picture, person=person_of(turned))
+    figures = track_clip(
+        HeadModel.load(base), clip, settings, track, camera, picture, person=person_of(turned), who_alone=who_alone
+    )
     for artifact, kind in ((camera, "rig"), (track, "monocular_track")):
         write_manifest(
             artifact,

@@ -20,6 +20,7 @@ def run(
     picture: Path,
     video: Path,
     filmed_by: Path,
+    who_alone: bool,
     settings: MonocularSettings,
 ) -> None:
     figures = track_clip(
@@ -30,6 +31,7 @@ def run(
         camera,
         picture,
         person=person_of(turned),
+        who_alone=who_alone,
     )
     for artifact, kind in ((camera, "rig"), (track, "monocular_track")):
         write_manifest(

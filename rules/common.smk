@@ -569,6 +569,15 @@ def mesh_turned_track(wildcards):
     return turned_track(wildcards.mesh_person, wildcards.take)
 
 
+def take_tells_who_alone(wildcards):
+    """Whether a take's track tells who somebody is and nothing else: no lips are corrected in it."""
+    return wildcards.take not in PLAN.filmed(wildcards.session)
+
+
+def mesh_tells_who_alone(wildcards):
+    return wildcards.take not in PLAN.filmed(wildcards.mesh_person)
+
+
 def lip_clip(person, take):
     """Where what one camera saw of a take lies."""
     camera = f"results/{PLAN.name}/track_monocular/{person}/{take}.camera.json"

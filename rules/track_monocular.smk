@@ -8,7 +8,8 @@ INPUTS:   base  = results/{study}/head_model/base.npz
           rig, start, ingested, offsets, timeline = the session's cameras, the head on the take's first frame, its recordings
                                                     (where the lips are tattooed, the painted one of that camera), their
                                                     start times and the moments of its frames
-OUTPUTS:  track   = results/{study}/track_monocular/{person}/{take}.npz
+OUTPUTS:  track   = results/{study}/track_monocular/{person}/{take}.npz; of a take in which the head turns those frames alone that
+                    told who it is
           camera  = results/{study}/track_monocular/{person}/{take}.camera.json
           picture = results/{study}/track_monocular/{person}/{take}.png, frames with the face drawn over them
 """
@@ -36,6 +37,7 @@ rule track_monocular:
         mem_mb=1500,
     params:
         name=setting("lip_camera"),
+        who_alone=take_tells_who_alone,
         settings=training_setting("track_monocular"),
         source=source("track_monocular"),
     script:
@@ -61,6 +63,7 @@ rule track_monocular_meshes:
     params:
         video=mesh_video,
         filmed_by=mesh_camera,
+        who_alone=mesh_tells_who_alone,
         settings=training_setting("track_monocular"),
         source=source("track_monocular_meshes"),
     script:
