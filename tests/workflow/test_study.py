@@ -7,6 +7,9 @@ import yaml
 
 from headcap.artifacts.provenance import provenance_tree
 from headcap.evaluation.metrics import load_metrics
+from headcap.expressions import QuasiEigenFaces
+from headcap.expressions.basis_files import read_basis
+from headcap.expressions.weight_curves import read_weights
 from headcap.neck import NeckModel
 from headcap.neck.fits import NeckFits
 from headcap.speech import SpeechRegressor
@@ -19,8 +22,8 @@ TAKES = [
 STUDY = {
     "study": "necks",
     "mesh_subjects": [
-        {"subject": name, "rehearse_meshes": {"seed": seed, "rate_hz": 15, "takes": TAKES}}
-        for seed, name in ((11, "cora"), (12, "dave"), (13, "emma"))
+        {"subject": name, "rehearse_meshes": {"seed": seed, "rate_hz": 15, "takes": TAKES, **more}}
+        for seed, name, more in ((11, "cora", {"sculpt": {}}), (12, "dave", {}), (13, "emma", {}))
     ],
     "held_out": ["emma"],
     "groups": [{"name": "everybody", "people": ["cora", "dave", "emma"], "coefficients": "phi"}],
@@ -69,3 +72,18 @@ def test_the_page_tells_who_is_who_and_where_it_comes_from(finished: Path, monke
     assert "results/emma/rehearse_meshes/rehearsal.json" in tree
     assert "CHANGED" not in tree
     assert "MISSING" not in tree
+
+
+def test_hand_made_expressions_become_quasi_eigen_faces(finished: Path) -> None:
+    results = finished / "results/cora"
+    faces = QuasiEigenFaces.load(results / "quasi_eigen/faces.npz")
+    basis = read_basis(results / "quasi_eigen/basis.glb")
+    assert basis.names == faces.quasi.names
+    # 1.2 s of expressions and 3 s of speech at 15 frames a second
+    assert len(read_weights(results / "quasi_eigen/weights.csv").of(basis.names)) == 63
+    figures = {(figure.name, figure.session): figure for figure in load_metrics(finished / "results/necks/metrics.json")}
+    assert figures["quasi_eigen.qe_over_pca", "cora"].ok
+    assert figures["quasi_eigen.hand_over_qe", "cora"].ok
+    assert ("quasi_eigen.alpha_qe_pct", "dave") not in figures
+    assert "jaw_open" in (results / "report_expressions/expressions.html").read_text()
+    assert not (finished / "results/dave/quasi_eigen").exists()

@@ -161,3 +161,25 @@ def test_shipped_session_is_accepted(test_data: Path, monkeypatch: pytest.Monkey
     session, errors = check_session(yaml.safe_load((REPOSITORY / "config/sessions/ict_rig.yaml").read_text()))
     assert errors == []
     assert session.root == test_data / "ict_rig"
+
+
+def test_hand_made_expressions_are_files_of_the_session(session: dict) -> None:
+    assert "expression_basis: " in told(session | {"expression_basis": "sculpted"})
+    folder = Path(session["data_root"]) / "sculpted"
+    folder.mkdir()
+    takes = [take | {"kind": "expression"} for take in session["takes"]]
+    plan = load_plan(session | {"expression_basis": "sculpted", "takes": takes})
+    assert plan.expression_people == (session["session"],)
+    assert plan.expression_basis(session["session"]) == str(folder)
+    assert load_plan(session | {"takes": takes}).expression_people == ()
+
+
+def test_a_rehearsal_that_sculpts_brings_its_shapes() -> None:
+    takes = [{"name": "expression_01", "kind": "expression", "duration_s": 1}]
+    people = [
+        {"subject": name, "rehearse_meshes": {"seed": 1, "takes": takes, **more}}
+        for name, more in (("a", {"sculpt": {}}), ("b", {}))
+    ]
+    plan = load_plan({"study": "s", "mesh_subjects": people})
+    assert plan.expression_people == ("a",)
+    assert plan.expression_basis("a") == "results/a/rehearse_meshes/expressions.npz"
