@@ -1,12 +1,14 @@
 """Contours as constraints: laws of the constrained minimum, of what belongs to what, and of a mouth that was seen wrongly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from headcap.errors import InputError
-from headcap.lips.correction import CorrectionLayer, HeldPlaces, canonical_meshes
+from headcap.lips.correction import CanonicalMeshes, CorrectionLayer, HeldPlaces, canonical_meshes
 from headcap.lips.features import SAMPLES, LipContours
-from headcap.lips.held_contours import HeldContours, border_points, rim_points, ring_heights
+from headcap.lips.held_contours import REST_SHARE, HeldContours, border_points, rim_points, ring_heights
 from headcap.synthetic.mesh_takes import mesh_subject
 
 FRAMES = 4
@@ -110,6 +112,22 @@ def test_a_shut_mouth_opens_as_far_as_it_is_seen_to(stage, held, layer, truth, s
         known = np.isfinite(wanted) & np.isfinite(shown)
         # constraints are weighed against strains: a tenth of the opening is left, or a pixel (0.6 mm)
         assert np.abs(shown - wanted)[known].mean() < max(1.0, 0.1 * np.nanmax(wanted))
+
+
+def test_a_share_of_what_is_off_at_rest_stays_off(stage, held, layer, truth):
+    """Contours of a mouth 2 mm to the side and 1 mm up in every frame: the same part of it is held in all of them, if need be."""
+    away = np.array([2e-3, 1e-3])
+    beside = truth.meshes.copy()
+    beside[..., :2] -= away
+    seen = replace(held, quiet=np.array([True, True, False, False]), weight=1e9)
+    placed = CanonicalMeshes(beside, truth.world_from_canonical)
+    # along the border nothing is seen but at the corners, and there the way to the contour is the whole of it
+    offset = seen.resting_offset(placed)
+    np.testing.assert_allclose(offset[[0, SAMPLES // 2]], [away, away], atol=1e-5)
+    np.testing.assert_array_equal(replace(seen, quiet=None).resting_offset(placed), 0.0)
+    drawn = seen.drawn(layer, beside, truth.world_from_canonical)
+    corners = [stage.space.samples(meshes)[:, [0, SAMPLES // 2], :2] for meshes in (drawn, truth.meshes)]
+    np.testing.assert_allclose(corners[1] - corners[0], np.broadcast_to(REST_SHARE * away, (FRAMES, 2, 2)), atol=2e-5)
 
 
 def test_corners_belong_to_corners_wherever_the_border_was_tracked():
