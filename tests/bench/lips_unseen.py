@@ -107,7 +107,7 @@ def _adapted(kit: LipKit, folder: Path) -> LipKit:
 
 
 def _judged(kit: LipKit, clip: Clip, track: MonocularTrack, done: CorrectedClip, true: TrueMeshes, take: str) -> LipErrors:
-    """Base, GR and GR with the outer contour held; then with true contours, layer and head at rest in turn."""
+    """Base, GR and GR with contours held; then with true contours, layer and head at rest in turn."""
     space, seen, identity = kit.space, done.take, kit.regressor.identity
     tie = correspondence_of(space.model, space.mouth, seen.neutral, true)
     meshes = np.stack(list(carried_meshes(tie, true, len(seen))))

@@ -129,7 +129,7 @@ CATALOGUE: dict[str, FigureKind] = {
     "lips.ps_error_drop_pct": FigureKind("%", "what a person's own regressor takes off the base tracker's error", 30.0, True),
     "lips.ms_error_drop_pct": FigureKind("%", "what a regressor of several persons takes off it", 30.0, True),
     "lips.gr_error_drop_pct": FigureKind("%", "what a regressor that never saw the person takes off it", 25.0, True),
-    "lips.gr_reprojected_error_mm": _stated("mm", "the same, its outer contour a constraint, as headcap lips corrects"),
+    "lips.gr_reprojected_error_mm": _stated("mm", "the same, its contours constraints, as headcap lips corrects"),
     "lips.gr_reprojected_error_drop_pct": FigureKind("%", "what that takes off the base tracker's error", 25.0, True),
     "lips.base_shape_error_mm": _stated(
         "mm", "base tracker's mouth after one more rigid alignment, of the mouth alone: its shape"
