@@ -12,7 +12,7 @@ from headcap.artifacts import load_arrays, save_arrays
 
 KIND, SCHEMA = "expression_basis", 1
 QUASI_KIND, QUASI_SCHEMA = "quasi_eigen_faces", 1
-_NO_OFFSET = 1e-5
+LEAST_OFFSET = 1e-5
 """So small a share of mu is single precision's rounding."""
 
 
@@ -114,7 +114,7 @@ class Eigenfaces:
         kept, left = self.first(len(self) if count is None else count), self.rows[count:] if count is not None else self.rows[:0]
         offset = kept.offset.astype(np.float64)
         length = np.linalg.norm(offset)
-        if length <= _NO_OFFSET * np.linalg.norm(self.mean):
+        if length <= LEAST_OFFSET * np.linalg.norm(self.mean):
             return kept
         unit = offset / length
         variance = float(np.square(left @ unit.ravel()) @ self.variances[len(kept) :])

@@ -39,11 +39,11 @@ def left_over(basis, displacements):
 
 def test_what_is_left_is_told_without_the_frames(rng, displacements, eigen):
     hand = hand_made(rng, 6)
-    for count in (2, 5, 8):
+    for count in (1, 3, 5):
         axes = eigen.through_neutral(count)
         made = quasi_eigen_faces(hand, axes, augment=False).quasi
         # shapes, axes and mean are kept in single precision
-        np.testing.assert_allclose(unreached(hand, axes), left_over(made, displacements), rtol=1e-3)
+        np.testing.assert_allclose(unreached(hand, eigen)[count - 1], left_over(made, displacements), rtol=1e-3)
 
 
 def test_independent_shapes_get_one_axis_fewer_than_they_are(rng, eigen):
