@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from headcap.heads import FlameSettings, HeadModel, load_flame
 from headcap.lips.foreign_tracks import BaseTrack, MeshTrack, load_flame_track, mesh_track
 from headcap.lips.monocular import MonocularTrack
 from headcap.lips.mouth import Mouth
-from headcap.meshes.files import read_mesh
+from headcap.meshes.files import read_mesh, read_vertex_numbers
 from headcap.registration.face_correspondence import NeutralFace, correspond
 from headcap.registration.sequence import MeshSequence
 from headcap.registration.template import Template
@@ -132,25 +131,8 @@ def _read_person(files: BaseTrackFiles) -> _Person:
         known = Template.load(path)
         return _Person(known.vertices, known.triangles, dict(known.landmarks), dict(known.regions))
     vertices, triangles = read_mesh(path, expected="a PLY or OBJ mesh, or a template .npz")
-    landmarks = {} if files.landmarks is None else _read_landmarks(files.landmarks, len(vertices))
+    landmarks = {} if files.landmarks is None else read_vertex_numbers(files.landmarks, len(vertices))
     return _Person(vertices, triangles, landmarks)
-
-
-def _read_landmarks(path: Path, vertices: int) -> dict[str, int]:
-    try:
-        found = {str(name): int(vertex) for name, vertex in json.loads(path.read_text(encoding="utf-8")).items()}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{path.name}: {error}", expected="vertex numbers by landmark name, JSON", remedy="See the guide for names."
-        ) from error
-    beyond = sorted(name for name, vertex in found.items() if not 0 <= vertex < vertices)
-    if beyond:
-        raise InputError(
-            f"{path.name}: {beyond[0]} is vertex {found[beyond[0]]}",
-            expected=f"0 to {vertices - 1}",
-            remedy="Count vertices from zero, as the neutral mesh has them.",
-        )
-    return found
 
 
 def _meshes(path: Path) -> NDArray:

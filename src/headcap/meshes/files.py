@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,6 +61,25 @@ def _load(path: Path) -> trimesh.Trimesh:
 
     options = {"fix_texture": False} if path.suffix.lower() == ".ply" else {}
     return trimesh.load(path, process=False, force="mesh", **options)
+
+
+def read_vertex_numbers(path: Path | str, vertices: int, *, of: str = "landmark") -> dict[str, int]:
+    """Vertex numbers by name, JSON, of a mesh of so many `vertices`; raises `InputError` for other content and numbers beyond."""
+    path = Path(path)
+    try:
+        found = {str(name): int(vertex) for name, vertex in json.loads(path.read_text(encoding="utf-8")).items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path.name}: {error}", expected=f"vertex numbers by {of} name, JSON", remedy='Write {"name": vertex, ...}.'
+        ) from error
+    beyond = sorted(name for name, vertex in found.items() if not 0 <= vertex < vertices)
+    if beyond:
+        raise InputError(
+            f"{path.name}: {beyond[0]} is vertex {found[beyond[0]]}",
+            expected=f"0 to {vertices - 1}",
+            remedy="Count vertices from zero, as the mesh has them.",
+        )
+    return found
 
 
 def _arrays(mesh: trimesh.Trimesh) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

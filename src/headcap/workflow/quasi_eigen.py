@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +24,7 @@ from headcap.expressions.performance import joined
 from headcap.expressions.performance_files import read_performance
 from headcap.expressions.quasi_eigen import QuasiEigenSettings, convert_basis
 from headcap.expressions.weight_curves import WeightCurves, read_weights, write_weights
+from headcap.meshes.files import read_vertex_numbers
 from headcap.registration.template import Template
 from headcap.report.expressions import collect_expressions_page, write_expressions_report
 from headcap.workflow.validation import validate
@@ -110,9 +110,10 @@ def _of_meshes(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Perf
         return performance, basis
     neutral = Template.load(request.neutral) if request.neutral.suffix == ".npz" else request.neutral
     performance = read_performance(request.performance, neutral=neutral, unit=unit, rate_hz=request.rate_hz)
-    known = dict(neutral.landmarks) if isinstance(neutral, Template) else _numbers(request.landmarks)
-    own = _numbers(request.basis_landmarks)
-    laid = registered(basis, performance.neutral, performance.triangles, landmarks=own or None, onto_landmarks=known or None)
+    template = isinstance(neutral, Template)
+    known = dict(neutral.landmarks) if template else _numbers(request.landmarks, len(performance.neutral))
+    own = _numbers(request.basis_landmarks, len(basis.neutral))
+    laid = registered(basis, performance.neutral, performance.triangles, landmarks=own, onto_landmarks=known)
     return performance, laid.basis
 
 
@@ -127,7 +128,7 @@ def _of_markers(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Per
             basis,
             template.vertices,
             template.triangles,
-            landmarks=_numbers(request.basis_landmarks) or None,
+            landmarks=_numbers(request.basis_landmarks, len(basis.neutral)),
             onto_landmarks=dict(template.landmarks),
         ).basis
         regions = dict(template.regions)
@@ -168,13 +169,8 @@ def _on_markers(
     return performance, basis_at_markers(basis, performance, given=request.marker_vertices)
 
 
-def _numbers(path: Path | None) -> Mapping[str, int]:
-    if path is None:
-        return {}
-    try:
-        return {str(name): int(vertex) for name, vertex in json.loads(path.read_text(encoding="utf-8")).items()}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise InputError(f"{path.name}: {error}", expected="vertex numbers by name, JSON", remedy="Write it anew.") from error
+def _numbers(path: Path | None, vertices: int) -> Mapping[str, int] | None:
+    return None if path is None else read_vertex_numbers(path, vertices)
 
 
 def _write(

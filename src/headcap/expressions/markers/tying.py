@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from headcap.expressions.head_motion import fit_rigid_frames, moved_frames
 from headcap.expressions.markers.settings import MarkerSettings
 from headcap.geometry.transforms import fit_rigid, from_vector, invert, rigid, transform
 from headcap.meshes.closest_point import Surface
+from headcap.meshes.files import read_vertex_numbers
 from headcap.meshes.normals import vertex_normals
 from headcap.meshes.topology import submesh
 
@@ -91,12 +91,7 @@ def _given(given: Mapping[str, int] | Path | None, names: tuple[str, ...], count
     if given is None:
         return {}
     if isinstance(given, str | Path):
-        try:
-            given = {str(name): int(vertex) for name, vertex in json.loads(Path(given).read_text(encoding="utf-8")).items()}
-        except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise InputError(
-                f"{given}: {error}", expected="vertex numbers by marker name, JSON", remedy='Write {"marker": vertex, ...}.'
-            ) from error
+        given = read_vertex_numbers(given, count, of="marker")
     unknown = sorted(set(given) - set(names))
     beyond = sorted(name for name, vertex in given.items() if not 0 <= vertex < count)
     if unknown or beyond or len(given) < 3:
