@@ -166,6 +166,7 @@ CATALOGUE: dict[str, FigureKind] = {
         "%", "the same of as many quasi-eigen faces as there are eigenfaces, chosen greedily"
     ),
     "quasi_eigen.qe_over_pca": _stated("", "error of the quasi-eigen faces over that of the eigenfaces they were made of", 1.2),
+    "quasi_eigen.qe_over_pca_beside_mean": _stated("", "the same where the mean comes beside as many eigenfaces as shapes"),
     "quasi_eigen.qe_chosen_over_pca": _stated("", "the same of as many quasi-eigen faces as there are eigenfaces"),
     "quasi_eigen.hand_over_qe": _stated(
         "", "error of the hand-made shapes over that of the quasi-eigen faces made of them", 4.0, at_least=True
@@ -176,7 +177,7 @@ CATALOGUE: dict[str, FigureKind] = {
     "quasi_eigen.rms_hand_mm": _stated("mm", "reproduced to performed point, rms over points and frames, hand-made basis"),
     "quasi_eigen.rms_pca_mm": _stated("mm", "the same of the eigenfaces"),
     "quasi_eigen.rms_qe_mm": _stated("mm", "the same of the quasi-eigen faces"),
-    "quasi_eigen.elements": _stated("", "number at which bases are compared: eigenfaces, or shapes where these are fewer"),
+    "quasi_eigen.elements": _stated("", "eigenfaces beside the mean at which bases are compared: one fewer than shapes, or all"),
     "quasi_eigen.median_correlation": _stated(
         "", "quasi-eigen faces with their own hand-made shapes, cosine, median over shapes exercised", 0.8, at_least=True
     ),

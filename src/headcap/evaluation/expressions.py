@@ -1,9 +1,9 @@
 """Hand-made shapes, eigenfaces and quasi-eigen faces against one performance (quasi-eigen paper, section 5.5).
 
-Bases are compared at the same number of elements, `elements`: as many as there are principal axes, or shapes where these are
-fewer. k quasi-eigen faces on m < k axes span m + 1 directions at most, those of the axes and of the mean, which eigenfaces have
-for nothing: all k of them, as an animator gets them, are the fair match of m eigenfaces (`qe_over_pca`), the best m of them
-lack a direction (`qe_chosen_over_pca`). The paper has n = m, where these are the same.
+Bases are compared at the same number of elements. k quasi-eigen faces span k directions through the neutral face at most, which
+is what the mean and k - 1 eigenfaces span: these are their match (`qe_over_pca`). k eigenfaces that have the mean for nothing are
+the stricter one (`qe_over_pca_beside_mean`). Where shapes were projected onto fewer axes than that, the mean and those axes are
+the match, and of the faces also the best as many (`qe_chosen_over_pca`).
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ __all__ = ["EXERCISED", "ExpressionFigures", "Mistaken", "Reproduction", "compar
 KIND, SCHEMA = "expression_errors", 1
 EXERCISED = 1 / 3
 """A shape that keeps less of its norm on the principal axes than this is not exercised by the performance."""
+ROUNDING_PCT = 1e-5
+"""Alpha of positions that single precision rounds to some 6e-8 of their length."""
 _DEPENDENT = 1e-4
 """Of a shape's norm: less than ten times this of its own, and it has no part of its own; float32 rounding is far below."""
 
@@ -50,11 +52,13 @@ class ExpressionFigures:
     time_s: NDArray[np.float64]
     """(l,)"""
     elements: int
-    """Number of elements at which bases are compared: the smaller of k and m."""
+    """Axes beside the mean at which bases are compared: one fewer than shapes, or all where they are fewer still."""
     hand: Reproduction
     """E^H, all k shapes."""
     pca: Reproduction
     """E^PCA, the mean and the first `elements` axes."""
+    pca_beside_mean: Reproduction
+    """The mean, and as many axes as there are hand-made shapes."""
     quasi: Reproduction
     """E^QE, all its elements, those it was augmented with among them."""
     kept: NDArray[np.float64]
@@ -134,9 +138,10 @@ class ExpressionFigures:
             "alpha_pca_pct": self.pca.alpha_pct,
             "alpha_qe_pct": self.quasi.alpha_pct,
             "alpha_qe_chosen_pct": self.alpha_qe_chosen_pct,
-            "qe_over_pca": _ratio(self.quasi.alpha_pct, self.pca.alpha_pct),
-            "qe_chosen_over_pca": _ratio(self.alpha_qe_chosen_pct, self.pca.alpha_pct),
-            "hand_over_qe": _ratio(self.hand.alpha_pct, self.quasi.alpha_pct),
+            "qe_over_pca": _alpha_ratio(self.quasi.alpha_pct, self.pca.alpha_pct),
+            "qe_over_pca_beside_mean": _alpha_ratio(self.quasi.alpha_pct, self.pca_beside_mean.alpha_pct),
+            "qe_chosen_over_pca": _alpha_ratio(self.alpha_qe_chosen_pct, self.pca.alpha_pct),
+            "hand_over_qe": _alpha_ratio(self.hand.alpha_pct, self.quasi.alpha_pct),
             "displacement_hand_pct": self.hand.displacement_pct,
             "displacement_pca_pct": self.pca.displacement_pct,
             "displacement_qe_pct": self.quasi.displacement_pct,
@@ -167,7 +172,7 @@ class ExpressionFigures:
             "not_told_apart": list(self.not_told_apart),
             "mistaken": [asdict(shape) for shape in self.mistaken],
             "missing": list(self.missing),
-            "bases": {name: _told(getattr(self, name)) for name in ("hand", "pca", "quasi")},
+            "bases": {name: _told(getattr(self, name)) for name in ("hand", "pca", "pca_beside_mean", "quasi")},
         }
 
 
@@ -184,9 +189,10 @@ def compare_bases(
     so that ratios to them are the paper's only where all are. One passage over the frames. Raises `InputError` for another
     topology.
     """
-    elements = min(len(faces.hand), len(faces.eigen))
-    hand, pca, quasi = reproductions(
-        performance, [faces.hand, faces.eigen.first(elements), faces.quasi], [bounds, None, bounds], progress
+    elements = max(min(len(faces.hand) - 1, len(faces.eigen)), 1)
+    axes = [faces.eigen.first(count) for count in (elements, len(faces.hand))]
+    hand, pca, pca_beside_mean, quasi = reproductions(
+        performance, [faces.hand, *axes, faces.quasi], [bounds, None, None, bounds], progress
     )
     shapes, axes = faces.hand.rows.astype(np.float64), faces.hyperplane.rows.astype(np.float64)
     mean = faces.hyperplane.mean.ravel().astype(np.float64)
@@ -197,6 +203,7 @@ def compare_bases(
         elements=elements,
         hand=hand,
         pca=pca,
+        pca_beside_mean=pca_beside_mean,
         quasi=quasi,
         kept=kept,
         correlation=_cosines(faces.quasi.rows[: len(shapes)], shapes),
@@ -227,6 +234,11 @@ def _cosines(rows: NDArray, others: NDArray) -> NDArray[np.float64]:
     left, right = np.asarray(rows, np.float64), np.asarray(others, np.float64)
     norms = np.outer(np.linalg.norm(left, axis=1), np.linalg.norm(right, axis=1))
     return np.divide(left @ right.T, norms, out=np.zeros_like(norms), where=norms > 0)
+
+
+def _alpha_ratio(value_pct: float, reference_pct: float) -> float:
+    """Of two errors; what single precision of positions leaves anyway is no error of either."""
+    return max(value_pct, ROUNDING_PCT) / max(reference_pct, ROUNDING_PCT)
 
 
 def _ratio(value: float, reference: float) -> float:

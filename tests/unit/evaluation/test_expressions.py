@@ -236,13 +236,15 @@ def test_projection_brings_hand_made_shapes_to_the_error_of_the_eigenfaces(judge
 
 def test_as_many_quasi_eigen_faces_as_axes_are_compared(rng, neutral, motion):
     hand = basis_of(0.01 * rng.normal(size=(7, POINTS, 3)), neutral)
-    for axes, elements in ((3, 3), (7, 7), (8, 7)):
+    for axes, elements in ((3, 3), (7, 6), (8, 6)):
         figures = compare_bases(performance_of(motion, neutral), projected(hand, eigenfaces_of(motion, axes)))
         assert figures.elements == figures.pca.dimensions == elements
         assert figures.quasi.dimensions == min(7, axes + 1)
         # m + 1 faces and more span mean and axes
         if axes + 1 <= 7:
             assert figures.quasi.alpha_pct <= figures.pca.alpha_pct * (1 + 1e-5)
+        assert figures.pca_beside_mean.dimensions == min(axes, 7)
+        assert figures.pca_beside_mean.alpha_pct <= figures.pca.alpha_pct
         assert figures.alpha_qe_chosen_pct >= figures.quasi.alpha_pct * (1 - 1e-9)
 
 
