@@ -16,6 +16,10 @@ from headcap.sync.offsets import TimeOffsets
 Array = NDArray[np.float64]
 COVERAGE_CELLS = 6
 """Cells along the shorter side of an image in which corners are counted."""
+LEAST_CORNERS = 6
+"""A view of fewer tells no pose: as many as a frame must show to be kept at all (`DetectSettings.min_corners`)."""
+_LEAST_BREADTH = 0.02
+"""Of their length: corners in a line are bent by the lens and by noise no more than this."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,8 @@ def _slow_candidates(
     for camera, seen in detections.items():
         speeds, times = seen.speed_px_s(), offsets.common_time(camera, seen.own_time_s)
         for i in np.flatnonzero(speeds <= settings.max_speed_px_s):
+            if not _tells_a_pose(_followed(seen, int(i)).pixels):
+                continue
             found.append(_Candidate(camera, int(i), float(times[i]), float(speeds[i])))
     return sorted(found, key=lambda c: c.time_s)
 
@@ -101,12 +107,24 @@ def _pose(chosen: list[_Candidate], centre: float, detections: Mapping[str, Came
     views, frames = {}, {}
     for c in sorted(chosen, key=lambda c: list(detections).index(c.camera)):
         seen = detections[c.camera]
-        view, velocity = seen.view(c.sighting), seen.velocity(c.sighting)
-        known = np.isfinite(velocity).all(1)
-        moved = view.pixels[known] + velocity[known] * (centre - c.time_s)
-        views[c.camera] = BoardView(view.corner[known], moved)
+        views[c.camera] = _followed(seen, c.sighting, centre - c.time_s)
         frames[c.camera] = int(seen.frame[c.sighting])
     return BoardPose(centre, views, frames)
+
+
+def _followed(seen: CameraDetections, sighting: int, later_s: float = 0.0) -> BoardView:
+    """The corners of a view whose motion is known, moved on for so long."""
+    view, velocity = seen.view(sighting), seen.velocity(sighting)
+    known = np.isfinite(velocity).all(1)
+    return BoardView(view.corner[known], view.pixels[known] + velocity[known] * later_s)
+
+
+def _tells_a_pose(pixels: Array) -> bool:
+    """Whether corners (n, 2) are enough for a pose, and in no line: straight lines of the board are straight in pictures too."""
+    if len(pixels) < LEAST_CORNERS:
+        return False
+    length, breadth = np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)
+    return breadth > _LEAST_BREADTH * length
 
 
 def image_cells(pixels: Array, width: int, height: int) -> NDArray[np.int64]:

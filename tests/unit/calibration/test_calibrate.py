@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from headcap.calibration.gauge import canonical_frame, looked_at_point
+from headcap.calibration.grouping import group_poses
 from headcap.calibration.overlays import overlays
 from headcap.calibration.polish import lens_jacobian
 from headcap.calibration.result import CalibrationResult, check_gates
@@ -42,6 +43,28 @@ def test_truth_is_recovered(scene, result):
     assert result.heldout_p95_px == pytest.approx(0.05 * np.sqrt(-2 * np.log(0.05)), rel=0.15)
     # a corner seen by n cameras is good to 0.033 mm / sqrt(n) across and about twice that in depth
     assert result.board_scale_error_mm < 0.08
+
+
+@pytest.mark.parametrize("lost", ["nearly all", "all but a row"])
+def test_views_whose_corners_were_not_followed_tell_no_pose(scene, lost):
+    """A neighbouring frame may show a few of a view's corners, or a row of them: no pose comes of these, and none is needed."""
+    crippled = []
+    for seen in scene.detections:
+        velocity = seen.velocity_px_s.copy()
+        for sighting in range(0, len(seen), 4):
+            first, last = seen.first[sighting : sighting + 2]
+            corner = seen.corner[first:last]
+            followed = np.arange(len(corner)) < 3 if lost == "nearly all" else corner // 6 == corner[0] // 6
+            velocity[first:last][~followed] = np.nan
+        crippled.append(replace(seen, velocity_px_s=velocity))
+    poses = group_poses({seen.camera: seen for seen in crippled}, scene.offsets, CalibrateSettings().group)
+    assert min(len(view.corner) for pose in poses for view in pose.views.values()) >= 6
+    rows = [np.unique(view.corner // 6) for pose in poses for view in pose.views.values()]
+    assert min(map(len, rows)) > 1
+    centre_mm, rotation_deg = errors(calibrate(crippled, scene.offsets, scene.board, CalibrateSettings()).rig, scene.rig)
+    # three quarters of the views are left: within the limits that all of them keep
+    assert centre_mm < 0.3
+    assert rotation_deg < 0.05
 
 
 def test_the_result_is_in_its_canonical_frame(result):
