@@ -92,12 +92,14 @@ def without_strange_views(rig: Rig, pose: BoardPose, corners: Array, *, times: f
 
 
 def solve_board_pose(rig: Rig, pose: BoardPose, corners: Array, *, loss_px: float = 0.5) -> Array:
-    """world_from_board (4, 4) of one pose from all its views (Gauss-Newton, Cauchy loss at `loss_px`)."""
+    """world_from_board (4, 4) of one pose from all its views (Gauss-Newton, Cauchy loss at `loss_px`); NaN where none is told."""
     lenses = {c.name: Lens(c.width, c.height, c.matrix, c.distortion) for c in rig}
     world_from_board = joined_board_pose(pose, lenses, {c.name: c.camera_from_world for c in rig}, corners)
     # a wide loss first: the start is good to some pixels only
     for loss in (*np.geomspace(16 * loss_px, loss_px, 4), *[loss_px] * 6):
         step = _pose_step(rig, pose, corners, world_from_board, loss)
+        if not np.isfinite(step).all():
+            return np.full((4, 4), np.nan)
         world_from_board = from_vector(step) @ world_from_board
         if loss == loss_px and np.abs(step).max() < 1e-10:
             break

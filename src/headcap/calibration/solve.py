@@ -116,8 +116,11 @@ class _Problem:
         )
         if fit is None or not trusted(fit, self.settings.timing):
             return adjusted, None
-        board_poses = tuple(solve_board_pose(fit.rig, pose, corners) for pose in adjusted.poses)
-        return replace(adjusted, rig=fit.rig, world_from_board=board_poses), visual_timing(fit)
+        solved = [(pose, solve_board_pose(fit.rig, pose, corners)) for pose in adjusted.poses]
+        # of a pose with few corners left the search may run away: it has helped the rig, and tells nothing beside it
+        told = [(pose, world_from_board) for pose, world_from_board in solved if np.isfinite(world_from_board).all()]
+        still = replace(adjusted, rig=fit.rig, poses=tuple(p for p, _ in told), world_from_board=tuple(w for _, w in told))
+        return still, visual_timing(fit)
 
 
 def _covered(poses: Sequence[BoardPose], seen: Mapping[str, CameraDetections], settings: RigSettings) -> bool:
