@@ -35,7 +35,7 @@ fmt: $(STAMP)
 	@$(BIN)/snakefmt Snakefile rules
 	@$(BIN)/headcap schema --write
 
-# make bench ONLY=stereo runs one (fit, flow, head_model, high_resolution, lips, lips_unseen, neck, speech, stereo, track); each writes results/bench/<name>.json
+# make bench ONLY=stereo runs one (fit, flow, head_model, high_resolution, lips, lips_unseen, neck, quasi_eigen, quasi_eigen_data, speech, stereo, talking_faces, track); each writes results/bench/<name>.json
 bench: $(STAMP)
 	@$(BIN)/python tests/bench/run.py $(ONLY)
 
