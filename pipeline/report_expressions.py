@@ -8,12 +8,20 @@ from headcap.evaluation.metrics import load_metrics
 from headcap.expressions import QuasiEigenFaces
 from headcap.expressions.people import ExpressionPersonFiles
 from headcap.expressions.quasi_eigen import QuasiEigenSettings
+from headcap.expressions.weight_curves import read_weights
 from headcap.report.expressions import collect_expressions_page, write_expressions_report
 from headcap.report.provenance import manifests_of
 
 
 def run(
-    *, files: list[Path], faces: Path, figures: Path, page: Path, person: ExpressionPersonFiles, settings: QuasiEigenSettings
+    *,
+    files: list[Path],
+    faces: Path,
+    weights: Path,
+    figures: Path,
+    page: Path,
+    person: ExpressionPersonFiles,
+    settings: QuasiEigenSettings,
 ) -> None:
     performance, made = person.performance(), QuasiEigenFaces.load(faces)
     content = collect_expressions_page(
@@ -21,6 +29,8 @@ def run(
         made,
         compare_bases(performance, made, bounds=settings.bounds),
         bounds=settings.bounds,
+        weights={"quasi": read_weights(weights).of(made.quasi.names).weights},
+        overlap=settings.overlap,
         figures=load_metrics(figures),
         manifests=manifests_of({path.name: path for path in (faces, figures)}),
         settings=settings.model_dump(mode="json"),
@@ -31,7 +41,7 @@ def run(
         kind="report",
         stage="report_expressions",
         settings_digest=digest_settings(settings=settings),
-        inputs=[*files, faces, figures],
+        inputs=[*files, faces, weights, figures],
         figures={},
     )
 

@@ -3,6 +3,7 @@ The page of a person's quasi-eigen faces: figures 2 to 4 of the paper, its table
 
 INPUTS:   files   = neutral head, takes that tell what the face does, hand-made expressions
           faces   = results/{person}/quasi_eigen/faces.npz
+          weights = results/{person}/quasi_eigen/weights.csv
           figures = results/{person}/quasi_eigen/figures.json
 OUTPUTS:  page    = results/{person}/report_expressions/expressions.html
 """
@@ -13,6 +14,7 @@ rule report_expressions:
     input:
         files=expression_inputs,
         faces="results/{person}/quasi_eigen/faces.npz",
+        weights="results/{person}/quasi_eigen/weights.csv",
         figures="results/{person}/quasi_eigen/figures.json",
     output:
         page="results/{person}/report_expressions/expressions.html",

@@ -17,6 +17,7 @@ from headcap.evaluation.metrics import Figure, make_figure
 from headcap.evaluation.reproduction import Progress, Reproduction, reproduction, reproductions
 from headcap.evaluation.settings import EvaluateSettings
 from headcap.expressions import Performance, QuasiEigenFaces
+from headcap.expressions.shape_changes import cosines
 from headcap.expressions.weights import Bounds
 
 __all__ = ["EXERCISED", "ExpressionFigures", "Mistaken", "Reproduction", "compare_bases", "reproduction"]
@@ -206,7 +207,7 @@ def compare_bases(
         pca_beside_mean=pca_beside_mean,
         quasi=quasi,
         kept=kept,
-        correlation=_cosines(faces.quasi.rows[: len(shapes)], shapes),
+        correlation=cosines(faces.quasi, faces.hand)[: len(shapes)],
         own_part=own_part,
         mean_outside=_ratio(float(np.linalg.norm(mean - mean @ axes.T @ axes)), float(np.linalg.norm(mean))),
         missing=faces.missing,
@@ -227,13 +228,6 @@ def _kept(shapes: NDArray, axes: NDArray) -> tuple[NDArray[np.float64], NDArray[
     lengths = np.sqrt(np.diagonal(inverse))
     own_part = np.linalg.norm(inverse @ along, axis=1) / lengths
     return np.linalg.norm(along, axis=1), np.where(1 / lengths > 10 * _DEPENDENT, own_part, 0.0)
-
-
-def _cosines(rows: NDArray, others: NDArray) -> NDArray[np.float64]:
-    """(k, j) of vectors (k, c) with vectors (j, c); 0 where one is nought."""
-    left, right = np.asarray(rows, np.float64), np.asarray(others, np.float64)
-    norms = np.outer(np.linalg.norm(left, axis=1), np.linalg.norm(right, axis=1))
-    return np.divide(left @ right.T, norms, out=np.zeros_like(norms), where=norms > 0)
 
 
 def _alpha_ratio(value_pct: float, reference_pct: float) -> float:

@@ -127,6 +127,7 @@ class _Sums:
         self.displacement = 0.0
 
     def add(self, displacements: NDArray, residual: NDArray) -> None:
+        """Take in a block (l, n, 3) of displacements and what a basis leaves of it, metres."""
         squares = np.einsum("lnk,lnk->ln", residual, residual)
         self.points += squares.sum(axis=0)
         self.error.append(squares.sum(axis=1))
@@ -135,6 +136,7 @@ class _Sums:
         self.displacement += float(np.vdot(displacements, displacements))
 
     def result(self, dimensions: int, by_size: tuple[tuple[int, ...], NDArray]) -> Reproduction:
+        """Errors of all blocks, with the number of directions and the order of shapes and squared error left by basis size."""
         error, position = np.concatenate(self.error), np.concatenate(self.position)
         frames, points = len(error), len(self.points)
         vertex = 1e3 * np.sqrt(self.points / frames)
@@ -172,6 +174,7 @@ class _FreeJudge:
         self.total = 0.0
 
     def add(self, displacements: NDArray) -> None:
+        """Take in a block (l, n, 3) of displacements, metres."""
         rows = displacements.reshape(len(displacements), -1) - self.mean
         coordinates = rows @ self.span.T
         self.energy += coordinates.T @ coordinates
@@ -179,6 +182,7 @@ class _FreeJudge:
         self.sums.add(displacements, (rows - coordinates @ self.span).reshape(displacements.shape))
 
     def result(self) -> Reproduction:
+        """Errors of all blocks."""
         if self.shapes is None:
             order, taken = tuple(range(len(self.span))), np.diag(self.energy)
         else:
@@ -194,10 +198,12 @@ class _BoundedJudge:
         self.solver = ExpressionSolver(basis, bounds=bounds)
 
     def add(self, displacements: NDArray) -> None:
+        """Take in a block (l, n, 3) of displacements, metres."""
         weights = np.asarray(self.solver.solve(displacements), np.float64)
         self.sums.add(displacements, displacements - (weights @ self.rows).reshape(displacements.shape))
 
     def result(self) -> Reproduction:
+        """Errors of all blocks."""
         return self.sums.result(len(orthonormal_rows(self.rows)), ((), np.zeros(0)))
 
 

@@ -55,6 +55,7 @@ def in_memory(displacements: NDArray, block: int = BLOCK) -> Callable[[], Iterab
     """The blocks of an array (l, n, 3), which may be a memory map."""
 
     def blocks() -> Iterator[NDArray[np.float32]]:
+        """The array from its first frame on."""
         for first in range(0, len(displacements), block):
             yield np.asarray(displacements[first : first + block], np.float32)
 
@@ -73,6 +74,7 @@ def joined(performances: Sequence[Performance]) -> Performance:
     step = float(np.median(np.diff(first.time_s))) if len(first) > 1 else 1.0
 
     def blocks() -> Iterator[NDArray[np.float32]]:
+        """Those of one performance after those of the other."""
         for performance in performances:
             yield from performance.blocks()
 

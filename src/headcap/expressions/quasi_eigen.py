@@ -17,7 +17,7 @@ from headcap.expressions.performance import Performance
 from headcap.expressions.principal import eigenfaces
 from headcap.expressions.projection import quasi_eigen_faces
 from headcap.expressions.rest import offset_of_rest
-from headcap.expressions.shape_changes import cosines
+from headcap.expressions.shape_changes import OVERLAP, cosines
 from headcap.expressions.weights import ExpressionSolver
 
 FLAT_M = 1e-6
@@ -60,7 +60,7 @@ class QuasiEigenSettings(BaseModel):
         description="How far each shape is kept to the region it was sculpted in: 0 is the paper's projection, 1 moves nothing "
         "outside and leaves the hyperplane",
     )
-    overlap: float = Field(0.9, gt=0, le=1, description="Cosine between two shapes from which they are reported to overlap")
+    overlap: float = Field(OVERLAP, gt=0, le=1, description="Cosine between two shapes from which they are reported to overlap")
     rest_ratio: float | None = Field(
         2.0,
         gt=0,

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from headcap.expressions.basis import ExpressionBasis, QuasiEigenFaces
 
+OVERLAP = 0.9
+"""Cosine from which two shapes say nearly the same."""
+
 
 @dataclass(frozen=True)
 class Overlap:
@@ -37,15 +40,19 @@ class ShapeChanges:
     """(k,) at the point that moved most."""
 
 
-def cosines(basis: ExpressionBasis) -> NDArray[np.float64]:
-    """(k, k) cosines between the shapes' displacements; 0 beside shapes that do not move."""
+def cosines(basis: ExpressionBasis, others: ExpressionBasis | None = None) -> NDArray[np.float64]:
+    """(k, j) cosines between displacements of two bases' shapes, or of one's; 0 beside shapes that do not move."""
+    left, right = _unit_rows(basis), _unit_rows(others or basis)
+    return np.clip(left @ right.T, -1.0, 1.0)
+
+
+def _unit_rows(basis: ExpressionBasis) -> NDArray[np.float64]:
     rows = basis.rows.astype(np.float64)
     length = np.linalg.norm(rows, axis=1)
-    unit = rows / np.where(length > 0, length, 1.0)[:, None]
-    return np.clip(unit @ unit.T, -1.0, 1.0)
+    return rows / np.where(length > 0, length, 1.0)[:, None]
 
 
-def overlaps(faces: QuasiEigenFaces, threshold: float = 0.9) -> tuple[Overlap, ...]:
+def overlaps(faces: QuasiEigenFaces, threshold: float = OVERLAP) -> tuple[Overlap, ...]:
     """Pairs of hand-made shapes whose cosine reaches the threshold before or after projection, the nearest first."""
     before, after = cosines(faces.hand), cosines(faces.quasi)[: len(faces.hand), : len(faces.hand)]
     nearest = np.triu(np.maximum(np.abs(before), np.abs(after)), 1)

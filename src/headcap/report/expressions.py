@@ -14,7 +14,7 @@ from headcap.evaluation.expressions import ExpressionFigures
 from headcap.evaluation.metrics import Figure
 from headcap.expressions import Eigenfaces, ExpressionBasis, Performance, QuasiEigenFaces
 from headcap.expressions.projection import MissingAxis, missing_report, span_report
-from headcap.expressions.shape_changes import overlaps, shape_changes
+from headcap.expressions.shape_changes import OVERLAP, overlaps, shape_changes
 from headcap.expressions.weights import ExpressionSolver
 from headcap.report import expressions_figures as diagrams
 from headcap.report.expressions_pictures import FacePainter, joined, length_mm, round_top
@@ -58,6 +58,8 @@ class ExpressionsPage:
     """(l, k) of hand-made shapes, "hand", and of quasi-eigen faces, "quasi", those it was augmented with left out."""
     bounds: tuple[float, float] | None
     """Least and largest weight that was allowed; None: any."""
+    overlap: float
+    """Cosine from which shapes are listed as overlapping."""
     figures: tuple[Figure, ...]
     manifests: tuple[tuple[str, Manifest], ...]
     versions: Mapping[str, str]
@@ -106,6 +108,7 @@ def collect_expressions_page(
     *,
     bounds: tuple[float, float] | None = None,
     weights: Mapping[str, NDArray] | None = None,
+    overlap: float = OVERLAP,
     figures: Sequence[Figure] = (),
     manifests: Sequence[tuple[str, Manifest]] = (),
     settings: Mapping | None = None,
@@ -113,7 +116,8 @@ def collect_expressions_page(
     """Gather what the page tells; of the frames a block is in memory at a time.
 
     `bounds` are those of `compare_bases`: faces are pictured as they were judged. `weights` (l, elements) by "hand" or "quasi"
-    are drawn over time instead of those of eq. 5 within the bounds, where a studio is given others: smooth or sparse ones.
+    are drawn over time instead of those of eq. 5 within the bounds, where a studio is given others: smooth or sparse ones. Shapes
+    overlap from a cosine of `overlap` on.
     """
     moments = telling_moments(compared.hand.frame_alpha_pct, compared.quasi.frame_alpha_pct)
     solvers = {name: ExpressionSolver(basis, bounds=bounds) for name, basis in (("hand", faces.hand), ("quasi", faces.quasi))}
@@ -133,6 +137,7 @@ def collect_expressions_page(
         },
         weights={name: np.asarray(each, np.float64)[:, : len(faces.hand)] for name, each in drawn.items()},
         bounds=bounds,
+        overlap=overlap,
         figures=tuple(figures),
         manifests=tuple(manifests),
         versions=versions(),
@@ -206,7 +211,7 @@ def write_expressions_report(page: ExpressionsPage, path: Path | str) -> None:
         moved_top=moved_top,
         axes=_axes(page, painter, missing_report(page.faces)[:PICTURED_AXES]),
         deviations=f"{DEVIATIONS:g}",
-        overlap=overlaps(page.faces),
+        overlap=overlaps(page.faces, page.overlap),
         span=span_report(page.faces.quasi, page.faces.hyperplane),
         added=page.faces.quasi.names[len(hand) :],
         frames=_frames(page),

@@ -24,7 +24,7 @@ from headcap.expressions.performance import joined
 from headcap.expressions.performance_files import read_performance
 from headcap.expressions.quasi_eigen import QuasiEigenSettings, convert_basis
 from headcap.expressions.weight_curves import WeightCurves, read_weights, write_weights
-from headcap.meshes.files import read_vertex_numbers
+from headcap.meshes.files import read_mesh, read_vertex_numbers
 from headcap.registration.template import Template
 from headcap.report.expressions import collect_expressions_page, write_expressions_report
 from headcap.workflow.validation import validate
@@ -123,15 +123,9 @@ def _of_markers(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Per
         return _on_markers(request, takes, basis)
     regions = None
     if request.neutral is not None:
-        template = Template.load(request.neutral)
-        basis = registered(
-            basis,
-            template.vertices,
-            template.triangles,
-            landmarks=_numbers(request.basis_landmarks, len(basis.neutral)),
-            onto_landmarks=dict(template.landmarks),
-        ).basis
-        regions = dict(template.regions)
+        vertices, triangles, regions, known = _performer(request.neutral, request.landmarks)
+        own = _numbers(request.basis_landmarks, len(basis.neutral))
+        basis = registered(basis, vertices, triangles, landmarks=own, onto_landmarks=known).basis
     performances = [
         mesh_performance(
             take,
@@ -147,6 +141,17 @@ def _of_markers(request: QuasiEigenRequest, basis: ExpressionBasis) -> tuple[Per
         for take in takes
     ]
     return (performances[0] if len(performances) == 1 else joined(performances)), basis
+
+
+def _performer(
+    neutral: Path, landmarks: Path | None
+) -> tuple[NDArray, NDArray, dict[str, NDArray[np.bool_]], Mapping[str, int] | None]:
+    """Vertices, triangles, regions and landmarks of the performer at rest: a template, or a mesh in metres."""
+    if neutral.suffix == ".npz":
+        template = Template.load(neutral)
+        return template.vertices, template.triangles, dict(template.regions), dict(template.landmarks)
+    vertices, triangles = read_mesh(neutral)
+    return vertices, triangles, {}, _numbers(landmarks, len(vertices))
 
 
 def _where_shapes_move(basis: ExpressionBasis) -> NDArray[np.bool_]:
@@ -189,7 +194,13 @@ def _write(
     for form in _FORMS if len(performance.triangles) else ():
         write_basis(out / form, made.quasi, curves if "." in form else None)
     page = collect_expressions_page(
-        performance, made, compared, bounds=request.settings.bounds, settings=request.settings.model_dump(mode="json")
+        performance,
+        made,
+        compared,
+        bounds=request.settings.bounds,
+        weights={"quasi": curves.weights},
+        overlap=request.settings.overlap,
+        settings=request.settings.model_dump(mode="json"),
     )
     write_expressions_report(page, out / "expressions.html")
     write_manifest(

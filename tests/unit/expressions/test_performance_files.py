@@ -39,8 +39,8 @@ def write_usd(path, take, *, unit_m=1.0, up="Y", scale=1.0):
     UsdGeom.SetStageMetersPerUnit(stage, unit_m)
     UsdGeom.SetStageUpAxis(stage, up)
     stage.SetTimeCodesPerSecond(24)
-    UsdGeom.Xform.Define(stage, "/root").AddScaleOp().Set(Gf.Vec3f(scale))
-    mesh = UsdGeom.Mesh.Define(stage, "/root/head")
+    UsdGeom.Xform.Define(stage, "/person").AddScaleOp().Set(Gf.Vec3f(scale))
+    mesh = UsdGeom.Mesh.Define(stage, "/person/head")
     mesh.CreateFaceVertexCountsAttr(Vt.IntArray([3] * len(take.triangles)))
     mesh.CreateFaceVertexIndicesAttr(Vt.IntArray(take.triangles.ravel().tolist()))
     points = mesh.CreatePointsAttr()
@@ -197,13 +197,13 @@ def test_a_usd_file_without_or_with_several_animated_meshes_is_refused(small_tak
 
     write_usd(tmp_path / "take.usda", small_take)
     stage = Usd.Stage.Open(str(tmp_path / "take.usda"))
-    second = UsdGeom.Mesh.Define(stage, "/root/teeth").CreatePointsAttr()
+    second = UsdGeom.Mesh.Define(stage, "/person/teeth").CreatePointsAttr()
     for code in (101, 102):
         second.Set(Vt.Vec3fArray.FromNumpy(np.zeros((4, 3), np.float32)), code)
     stage.GetRootLayer().Save()
-    with pytest.raises(InputError, match="animated meshes /root/head, /root/teeth"):
+    with pytest.raises(InputError, match="animated meshes /person/head, /person/teeth"):
         read_performance(tmp_path / "take.usda")
-    performance = read_performance(tmp_path / "take.usda", prim="/root/head")
+    performance = read_performance(tmp_path / "take.usda", prim="/person/head")
     assert len(performance) == 12
     still = Usd.Stage.CreateNew(str(tmp_path / "still.usda"))
     UsdGeom.Mesh.Define(still, "/head")

@@ -23,7 +23,7 @@ def read_c3d(path: Path, unit: str | None = None, rate_hz: float | None = None) 
         content = ezc3d.c3d(str(path))
         points, parameters = content["data"]["points"], content["parameters"]["POINT"]
         residuals = content["data"]["meta_points"]["residuals"][0]
-    except Exception as error:
+    except (OSError, RuntimeError, ValueError, LookupError) as error:
         raise InputError(f"{path} cannot be read ({error})", expected="a C3D file", remedy="Export it again.") from error
     labels = _labels(parameters, points.shape[1])
     named = np.array([bool(label) and not label.startswith("*") for label in labels], bool)
