@@ -138,8 +138,8 @@ def markers(face: Face) -> tuple[NDArray, NDArray]:
     return grid[3:-3:2, 3:-3:2].ravel(), rigid
 
 
-@pytest.mark.parametrize("on_markers", [True, False])
-def test_marker_recordings_go_all_the_way(face, sculpted, tmp_path, on_markers):
+@pytest.mark.parametrize(("on_markers", "neutral"), [(True, False), (False, False), (False, True)])
+def test_marker_recordings_go_all_the_way(face, sculpted, tmp_path, on_markers, neutral):
     moving, rigid = markers(face)
     write_markers(tmp_path / "take.csv", face, np.concatenate([moving, rigid]))
     write_basis(tmp_path / "hand", sculpted)
@@ -147,7 +147,10 @@ def test_marker_recordings_go_all_the_way(face, sculpted, tmp_path, on_markers):
     (tmp_path / "ties.json").write_text(json.dumps(ties))
     given = ["--performance", str(tmp_path / "take.csv"), "--basis", str(tmp_path / "hand"), "--out", str(tmp_path / "out")]
     more = ["--unit", "mm", "--marker-vertices", str(tmp_path / "ties.json"), "--rigid", *(f"m{vertex}" for vertex in rigid)]
-    assert main(["quasi-eigen", *given, *more, *(["--on-markers"] if on_markers else [])]) == 0
+    more += ["--on-markers"] if on_markers else []
+    # the performer at rest as a mesh of its own
+    more += ["--neutral", str(tmp_path / "hand" / "neutral.obj")] if neutral else []
+    assert main(["quasi-eigen", *given, *more]) == 0
     faces = QuasiEigenFaces.load(tmp_path / "out" / "faces.npz")
     assert len(faces.quasi.neutral) == (len(moving) if on_markers else len(face.basis.neutral))
     figures = load_json(tmp_path / "out" / "errors.json", KIND, SCHEMA)["figures"]
